@@ -22,7 +22,7 @@ import numpy as np
 from uavbatt.packs import ageing, rows
 from uavbatt.packs.ledger import Ledger, inserted
 from uavbatt.packs.outlook import outlook
-from uavbatt.packs.records import FlightRecord, PackRow, Told
+from uavbatt.packs.records import FlightEvidence, FlightRecord, PackRow
 
 OHM, RATED_AH, FIRST_UTC_S, DAY_S = 0.013, 5.0, 1.79e9, 86_400.0
 
@@ -69,7 +69,7 @@ def _time(path: Path, name: str) -> None:
 
 def _flight(number: int) -> FlightRecord:
     wiggle = 0.02 * float(np.sin(number))
-    told = Told(math.log(OHM) + wiggle, math.log(RATED_AH) - wiggle, 0.04**2, 0.04**2, 0.0)
+    told = FlightEvidence(math.log(OHM) + wiggle, math.log(RATED_AH) - wiggle, 0.04**2, 0.04**2, 0.0)
     return FlightRecord(
         key=f"{number:016x}", told=told, cells=4, rated_Ah=RATED_AH, type_ohm=OHM, battery="bench",
         battery_sha256="0" * 64, start_utc_s=FIRST_UTC_S + DAY_S * number, duration_s=900.0, source=f"{number:08d}.BIN",

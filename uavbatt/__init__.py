@@ -51,7 +51,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load on first use, so that `import uavbatt` costs nothing."""
+    """Load a public name at its first use, so that `import uavbatt` is fast."""
     if name not in _HOMES:
         raise AttributeError(f"module 'uavbatt' has no attribute {name!r}")
     from importlib import import_module

@@ -2,7 +2,7 @@
 
 A data set is a folder with `battery.toml` (what was tested) and `discharge.csv` (what was read), columns
 `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c`; an empty cell means not measured. `flags.toml`
-may name suspect entries. Nothing is repaired here: what cannot be right is refused, naming file and line.
+may name suspect entries. Nothing is repaired: an impossible value is refused with its file and line.
 A run is one (sample, run, ambient) triple; its occasion is its run number.
 """
 
@@ -78,7 +78,7 @@ class _Flags(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """DataSet holds repeated discharge tests of one type of battery; `sha256` covers the content of both files."""
+    """DataSet holds repeated discharge tests of one type of battery; `sha256` is of the content of both files."""
 
     name: str
     chemistry: str
@@ -94,7 +94,7 @@ class DataSet:
     flags: tuple[Flag, ...] = ()
 
     def __repr__(self) -> str:
-        """Return one line: the runs are tables."""
+        """Return one line, without the tables of the runs."""
         return f"<DataSet {self.name} of {self.path}: {len(self.runs)} runs, {len(self.ambients_C)} temperatures>"
 
     def at(self, ambient_C: float, tolerance_C: float = 0.25) -> tuple[Run, ...]:
@@ -170,9 +170,9 @@ def _check_name(name: str, shown: str) -> None:
 
 
 def write_template(folder: Path) -> None:
-    """Write a data set to fill in: `battery.toml` with every key explained and a `discharge.csv` of a few rows.
+    """Write a template of a data set: `battery.toml` with every key explained, and a `discharge.csv` of a few rows.
 
-    Raises BadInput when one of the two files is there already.
+    Raises BadInput if one of the two files exists.
     """
     root = resources.files("uavbatt") / "data" / "template"
     for name in TEMPLATE_FILES:

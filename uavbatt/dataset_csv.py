@@ -2,7 +2,7 @@
 
 Columns `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c` in any order; an empty cell means not
 measured, and a row without a voltage is left out. A run is one (sample, run, ambient) triple. Bounds: a lithium
-cell reads 0.5 to 5 V, a test chamber -80 to 150 °C; what lies outside is a slip of unit. Every refusal names the line.
+cell reads 0.5 to 5 V, a test chamber -80 to 150 °C; other values are mistakes of the unit. Every error names the line.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Errors in one line each, with the exit code of the command line, and foreign text made safe to print.
+"""Errors in one line, with their exit codes, and foreign text made safe to print.
 
 Every error that a user can cause is a `UavbattError`. Its text names the file, the place in it and
 what was expected, so that the command line prints it as it is and never a traceback.
@@ -68,8 +68,8 @@ class NotEnoughData(UavbattError):
     exit_code = 4
 
 
-# A control byte in a file name clears a screen, an escape sequence rewrites what stood there, a direction mark turns a
-# name round: text of foreign origin (file names, cells, logs, battery files) passes through these two.
+# Control bytes in a file name can clear a screen, escape sequences can overwrite it, direction marks can reverse a
+# name. So all foreign text (file names, cells, logs, battery files) goes through these two functions.
 def printable(text: str) -> str:
     """Return `text` with control, surrogate and direction-changing characters, which would break a page, as U+FFFD."""
     return "".join("\ufffd" if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c for c in text)

@@ -1,7 +1,7 @@
-"""Output files that appear whole or not at all, and values as JSON: unknown (NaN, infinity) is null.
+"""Output files that are written completely or not at all, and values as JSON: unknown (NaN, infinity) is null.
 
-What is written goes to a temporary name beside the target (same file system, so that the renaming is atomic) and
-takes the target's place when the block ends. An exception in the block leaves the old file, or none.
+The content goes to a temporary file beside the target (on the same file system, so that the renaming is atomic), which
+replaces the target when the block ends. After an exception in the block the old file is unchanged.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def plain(value: Any) -> Any:
 
 
 def without_none(value: Any) -> Any:
-    """Return plain values without their Nones, at any depth: TOML has no null, an absent key says the same."""
+    """Return plain values without their Nones, at any depth, because TOML has no null."""
     if isinstance(value, dict):
         return {k: without_none(v) for k, v in value.items() if v is not None}
     return [without_none(v) for v in value] if isinstance(value, list) else value
@@ -105,7 +105,7 @@ def write_json(path: Path, content: Any, indent: int = 2) -> None:
 
 
 def json_for(stream: TextIO, text: str) -> str:
-    """Return JSON in which foreign text is escaped where it would command a terminal or `stream` cannot encode it.
+    """Return JSON with escapes for characters that could control a terminal, or that `stream` cannot encode.
 
     stream : what it is written to; a character that its encoding does not have is escaped, as JSON allows
     """

@@ -118,7 +118,7 @@ def cells_from_voltage(
 
 
 def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_rate: float) -> float:
-    """How likely a pack of so many cells shows so much a cell first: crews fly full packs, and few odd counts."""
+    """Return the likelihood of a first cell voltage for a count of cells: crews fly full packs, and few odd counts."""
     drop_V = DROP_V * min(max(c_rate, 0.0), 5.0)
     full_V = CHARGED_CELL_V - drop_V
     is_full = math.exp(-0.5 * ((cell_V - full_V) / CHARGED_SD_V) ** 2)

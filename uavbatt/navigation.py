@@ -1,8 +1,8 @@
 """Navigation values: where the aircraft is, what its autopilot will fly, and how it comes home (frozen, SI).
 
 Heights are metres above home unless the name says otherwise; velocities are over ground, north, east and up.
-Unknown is NaN (or None). Wire units, sentinels and altitude frames never get this far: telemetry turns every altitude
-into one of `Frame` and leaves the item's own frame readable.
+Unknown is NaN (or None). The package `telemetry` converts the units, sentinels and altitude frames of the wire; each
+altitude counts from one of the levels in `Frame`.
 """
 
 from __future__ import annotations
@@ -44,9 +44,7 @@ class Action(StrEnum):
     JUMP = "jump"  # jump_to, repeats
     DELAY = "delay"  # hold_s
     OTHER = "other"  # moves nothing and takes no time (camera, servo, region of interest)
-    UNKNOWN = (
-        "unknown"  # moves the aircraft in a way that nobody here understands: the route is unknown, `reason` says why
-    )
+    UNKNOWN = "unknown"  # moves the aircraft in a way that is not modelled: the route is unknown, `reason` says why
 
 
 class Frame(StrEnum):
@@ -109,7 +107,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class ReturnSettings:
-    """The vehicle's parameters say this of speeds and of the way home; NaN where they do not say."""
+    """ReturnSettings holds speeds and way home by the vehicle's parameters; NaN if a parameter is not known."""
 
     cruise_ms: float = NAN
     climb_ms: float = NAN
@@ -172,13 +170,13 @@ class Navigation:
 
     @property
     def has_way(self) -> bool:
-        """Return True if a mission or a home is known: without either there is no way to speak of."""
+        """Return True if a mission or a home is known, without which there is no forecast of a route."""
         return self.mission is not None or self.home is not None
 
     def is_aloft(self, time_s: float) -> bool | None:
-        """Return True if the autopilot says that it flies, or its place of the last seconds is high or fast.
+        """Return True if the autopilot says that it flies, or if its position of the last seconds is high or fast.
 
-        False if the autopilot says that it stands on the ground, None if nobody says.
+        False if the autopilot says that it is on the ground, None if it is not known.
         """
         at = self.position
         if self.landed is not None:

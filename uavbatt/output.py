@@ -1,8 +1,8 @@
 """Replay output: one line per telemetry row, as JSON Lines or CSV.
 
-`COLUMNS` is the one list of keys; both formats, and whatever else shows a line, read it. A line is made
-once by `line` and is then the same everywhere: unknown (NaN), unbounded (inf) and refused numbers are `None`,
-which JSON Lines shows as `null` and CSV as an empty cell; `warnings` is a list, joined with `; ` in CSV.
+`COLUMNS` is the one list of keys, for both formats and for every other view of a line. A line is made once by `line`
+and is the same everywhere: unknown (NaN), unbounded (inf) and refused numbers are `None`, which is `null` in JSON Lines
+and an empty cell in CSV; `warnings` is a list, joined with `; ` in CSV.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ Line = dict[str, Value]
 
 
 def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
-    """Return the one whose status and reason count for a row: the forecast unless it is ok, then the estimate.
+    """Return whose status and reason count for a row: the forecast's, or the estimate's if the forecast is ok.
 
-    The forecast is what the reader came for, and it can only be worse than the estimate below it.
+    The forecast is the number that matters, and it is never better than the estimate that it comes from.
     """
     return estimate if remaining.status is Status.OK else remaining
 
@@ -72,8 +72,8 @@ def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
 def line(estimate: Estimate, remaining: Remaining) -> Line:
     """Return the output line of one row; its keys are `COLUMNS`, then those of a route where one is known.
 
-    Status and reason are those of the `speaker`. A refused number is None whatever value its maker left in it; a
-    refused estimate takes the forecast with it.
+    Status and reason are those of the `speaker`. A refused number is None, whatever its value; if the estimate is
+    refused, so is the forecast.
     """
     refused: tuple[str, ...] = ()
     if estimate.status is Status.REFUSED:
@@ -97,6 +97,15 @@ def _route(route: Route) -> Line:
         key: getattr(route, fields[key]) if digits is None else rounded(getattr(route, fields[key]), digits)
         for key, digits in ROUTE_COLUMNS.items()
     }
+
+
+def clock(seconds: float, unknown: str = "unknown") -> str:
+    """Return a time [s] as minutes and seconds, `12:05`; the word `unknown` if it is not finite."""
+    if not math.isfinite(seconds):
+        return unknown
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    sign = "\N{MINUS SIGN}" if seconds < 0 and (minutes or rest) else ""
+    return f"{sign}{minutes}:{rest:02d}"
 
 
 def rounded(value: float, decimals: int) -> float | None:

@@ -1,7 +1,7 @@
-"""Records that flow through the house: frozen values, SI units, the unit in the name.
+"""Records that all packages use: frozen values in SI units, with the unit in the name.
 
 Sign convention: positive current discharges the battery. State of charge is 0..1, never percent.
-Unknown is NaN (`None` for flags); wire sentinels never get this far.
+Unknown is NaN (`None` for flags); the package `telemetry` has replaced the sentinels of the wire.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from uavbatt.navigation import NOWHERE, Navigation
 
 NAN = math.nan
 
-# An alarm that waits for the median is late in half of the flights. At 17.5 % it was never late on the flights that
-# it was measured on, and a minute early at the median; less is safer and earlier.
+# An alarm by the median is late in half of the flights. At 17.5 % it was never late on the measured flights, and a
+# minute early at the median; a smaller value is safer and earlier.
 ALARM_RISK = 0.175
 
 
@@ -79,16 +79,16 @@ class PackFacts:
 
     @property
     def endings_V(self) -> tuple[float, ...]:
-        """Return critical voltage and low-voltage warning [V] to count cells by; none where the cells are stated.
+        """Return critical voltage and low-voltage warning [V], by which cells are counted; NaN if the cells are stated.
 
-        The vehicle has worked them out from its own count then.
+        If the cells are stated, the vehicle has worked out these voltages from them, so that they show nothing new.
         """
         return () if self.cells_series is not None else (self.critical_voltage_V, self.low_voltage_V)
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Identity identifies aircraft and flight, as far as a log tells them; empty, None or NaN where it does not."""
+    """Identity holds what a log tells of aircraft, pack and date; empty, None or NaN if it does not tell."""
 
     system: int | None = None  # MAVLink's number of the vehicle; most are 1
     hardware: str = ""  # serial of the flight controller
@@ -134,7 +134,7 @@ class Flight:
         return iter(self.samples)
 
     def __repr__(self) -> str:
-        """Return one line: a flight has thousands of rows, and a prompt or a traceback needs none of them."""
+        """Return one line, without the thousands of rows."""
         return (
             f"<Flight {self.source}: {self.kind}, battery {self.instance}, {len(self.samples)} rows, "
             f"{self.duration_s:.0f} s>"
@@ -190,7 +190,7 @@ class Estimate:
         nis: the innovation squared over its variance; 1 is what the filter expects.
         status: may the number be shown.
         reason: why it is not `ok`, in words.
-        warnings: what must be known beside the number.
+        warnings: what a user of the number must know.
         predicted_voltage_V: of the pack, before the sample was used [V].
         core_temp_C: of the cells' core [°C].
         resistance_scale: this pack's ohm·Ah against its type's.
@@ -280,7 +280,7 @@ class Remaining:
         remaining_to_low_s: until the low-voltage warning [s], median; NaN where nobody states one.
         status: may the number be shown.
         reason: why it is not `ok`, in words.
-        remaining_alarm_s: the time is shorter than that with the probability ALARM_RISK [s]: alarms go by it.
+        remaining_alarm_s: the time left is shorter than this with the probability ALARM_RISK [s]; alarms use it.
         route: the same about route and way home; None where neither a route nor home is known.
     """
 

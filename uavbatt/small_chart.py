@@ -1,7 +1,7 @@
-"""A small drawing and a small table as plain HTML: what a notebook shows of a result, and a line in a table of a page.
+"""A small chart and a small table as plain HTML, for notebooks and for cells of a table on a page.
 
-No script, no styles of a page's own: lines take the colour of the text around them, so that they are seen on light and
-dark paper alike. The drawings of the pages, with axes and legends, are `report.plot`'s.
+They need no script and no style sheet: lines have the colour of the text around them, so that they are visible on light
+and dark backgrounds. Charts with axes and legends are in `report.plot`.
 """
 
 from __future__ import annotations

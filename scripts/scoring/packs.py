@@ -22,7 +22,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import steps
 from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.records import Remembered
+from uavbatt.packs.records import LedgerFlight
 from uavbatt.plan.endurance import endurance
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
@@ -66,7 +66,7 @@ class Flown:
     answer: Answer
     without: Forecast
     with_ledger: Forecast
-    after: Remembered | None
+    after: LedgerFlight | None
     known_Ah: tuple[float, float, float]  # after the flight: value, 5 %, 95 %
 
 
@@ -77,9 +77,9 @@ def flown(data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Call
         say(f"packs: {pack} flight {number}")
         flight, answer = read_log(path), _answer(data / "packs/answers", pack, number)
         name = remembering.name_of(flight) or pack
-        remembered = remembering.recalled(ledger, name, flight, battery)
+        remembered = remembering.health_before(ledger, name, flight, battery)
         alone, with_ledger = (_forecast(flight, answer, battery, known) for known in (None, remembered))
-        record = remembering.taught(battery, PackOptions(), flight).record
+        record = remembering.flight_for_ledger(battery, PackOptions(), flight).record
         after = ledger.save(name, record) if record is not None else None
         row = ledger.pack(name)
         seen = row.outlook if row is not None else None

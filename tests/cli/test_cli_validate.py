@@ -41,7 +41,7 @@ def test_the_study_s_own_method(tmp_path: Path) -> None:
     assert done.returncode == 0
     for agreement in ("45 of 45", "25 of 27", "26 of 27", "F_emp = 2.83 cannot be reproduced"):
         assert agreement in done.stdout
-    assert done.stdout.splitlines()[-1].strip().startswith("it judges the tests and gates no model")
+    assert done.stdout.splitlines()[-1].strip().startswith("this method judges the tests only")
     conclusion = done.stdout[done.stdout.index("conclusion by the study's own rules") :]
     assert "temperature: the samples may not be pooled at 0, 1, 4 min" in conclusion
     assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from planted_flights import FILE, PACK, fly
 
-from uavbatt.diagnosis.course import Course, OwnValues, courses
+from uavbatt.diagnosis.course import Course, FlightValues, courses
 from uavbatt.diagnosis.follow import CAN_BEGIN, Follow, follow
 from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.errors import NotEnoughData
@@ -47,7 +47,7 @@ def test_a_course_is_in_no_flight_before_it_begins_and_whole_in_the_last() -> No
 
 
 def test_a_course_saves_what_least_squares_by_hand_save() -> None:
-    own = OwnValues(np.array([0.0, 0.1, 2.0, 2.2]), np.full(4, 0.5))
+    own = FlightValues(np.array([0.0, 0.1, 2.0, 2.2]), np.full(4, 0.5))
     assert own.saved(Course(2, grows=False)) == pytest.approx(2.0 * 2.1**2 / 0.5**2)
     assert max(courses(4), key=own.saved) == Course(2, grows=False)
 

@@ -16,7 +16,7 @@ from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.errors import UsageError
 from uavbatt.log_replay.run import engine_for
 from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.records import FlightRecord, Told
+from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.records import Flight, Identity, Sample
 
 FADE = 0.15
@@ -30,7 +30,8 @@ def flight(serial: str = "A", start_utc_s: float = START_UTC_S) -> Flight:
 
 def before(number: int) -> FlightRecord:
     """A flight of a faded pack, whose ohm·Ah is that of its type."""
-    told = Told(math.log(type_ohm(PACK) / (1.0 - FADE)), math.log((1.0 - FADE) * CAPACITY_AH), 0.02**2, 0.01**2, 0.0)
+    log_ohm, log_Ah = math.log(type_ohm(PACK) / (1.0 - FADE)), math.log((1.0 - FADE) * CAPACITY_AH)
+    told = FlightEvidence(log_ohm, log_Ah, 0.02**2, 0.01**2, 0.0)
     size = {"cells": CELLS, "rated_Ah": CAPACITY_AH, "type_ohm": type_ohm(PACK)}
     return replace(remembered_flight(number), told=told, battery_sha256=FILE.certificate.content_sha256, **size)
 

@@ -13,7 +13,7 @@ from scoring.other_pack import Pack as OtherPack
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.fitting import observed, prior, solve
-from uavbatt.fitting.battery import Fitted, RecordedPack, fit_battery
+from uavbatt.fitting.battery import FittedBattery, RecordedPack, fit_battery
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
@@ -88,7 +88,7 @@ def test_more_rows_tell_no_less() -> None:
 
 
 @cache
-def fitted(kind: str) -> Fitted:
+def fitted(kind: str) -> FittedBattery:
     """Files from two flights of a kind."""
     chosen = [Flight(f.source, f.kind, f.samples) for f in flights(COARSE)[:2]]
     if kind == "in mid-air":

@@ -45,7 +45,7 @@ def emptied() -> Flight:
 
 @pytest.fixture(scope="module")
 def record(emptied):
-    return remembering.taught(BATTERY, OPTIONS, emptied).record
+    return remembering.flight_for_ledger(BATTERY, OPTIONS, emptied).record
 
 
 def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
@@ -54,7 +54,7 @@ def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
 
 
 def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
-    part = remembering.taught(BATTERY, OPTIONS, flight(1, share=0.5)).record
+    part = remembering.flight_for_ledger(BATTERY, OPTIONS, flight(1, share=0.5)).record
     assert part.told.variance_Ah > 4.0 * record.told.variance_Ah
     assert abs(part.told.log_Ah - math.log(5.0 * FADED)) < 2.0 * math.sqrt(part.told.variance_Ah)
     assert part.key == record.key
@@ -65,7 +65,7 @@ def test_a_flight_to_the_end_tells_the_ohms_as_well_as_one_to_the_half(growth: f
     """At the knee nobody knows how much of the drop is ohms; what was known before it must not be lost there."""
     true_ohm = type_ohm(PACK) * (1.0 + growth)
     whole, part = (
-        remembering.taught(BATTERY, OPTIONS, flight(1, {"resistance_growth": growth}, share)).record.told
+        remembering.flight_for_ledger(BATTERY, OPTIONS, flight(1, {"resistance_growth": growth}, share)).record.told
         for share in (1.0, 0.5)
     )
     assert math.exp(whole.log_ohm) == pytest.approx(true_ohm, rel=0.05)
@@ -90,7 +90,7 @@ def test_what_a_flight_drew_is_in_its_record(emptied, record):
 def test_a_flight_that_cannot_tell_says_why(emptied, changed, words):
     import re
 
-    found = remembering.taught(BATTERY, OPTIONS, changed(emptied))
+    found = remembering.flight_for_ledger(BATTERY, OPTIONS, changed(emptied))
     assert found.record is None
     assert re.search(words, found.why_not)
 
@@ -101,7 +101,7 @@ def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, re
 
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", record)
-        known = remembering.recalled(ledger, "A", flight(2, share=0.1), BATTERY)
+        known = remembering.health_before(ledger, "A", flight(2, share=0.1), BATTERY)
     load, size = ConstantLoad(160.0, 0.01), resolve(BATTERY, OPTIONS)
     true_s = flight(2).samples[-1].time_s - 40.0  # idle before the take-off and after the end
     new, met = (endurance(BATTERY, size, load, 25.0, 1.0, 0.0, health).median_s for health in (None, known))
@@ -111,8 +111,8 @@ def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, re
 
 def test_nothing_changes_without_a_name_or_for_a_pack_that_nobody_met(tmp_path, emptied):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
-        assert remembering.recalled(ledger, "", emptied, BATTERY) is None
-        assert remembering.recalled(ledger, "A", emptied, BATTERY) is None
+        assert remembering.health_before(ledger, "", emptied, BATTERY) is None
+        assert remembering.health_before(ledger, "A", emptied, BATTERY) is None
 
 
 def test_a_stated_name_goes_before_the_serial(emptied):
@@ -188,16 +188,16 @@ def test_the_kind_of_a_packs_cells_is_remembered(tmp_path):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         for number, soc in enumerate((1.0, 1.0)):
             one = lihv(number, soc, number + 1)
-            before = remembering.recalled(ledger, "A", one, generic)
-            ledger.save("A", remembering.taught(generic, options, one, before).record)
+            before = remembering.health_before(ledger, "A", one, generic)
+            ledger.save("A", remembering.flight_for_ledger(generic, options, one, before).record)
         part = lihv(3, 0.83, 5)
-        health = remembering.recalled(ledger, "A", part, generic)
+        health = remembering.health_before(ledger, "A", part, generic)
         estimator = Estimator(generic, options, remembered=health)
         end_s = part.samples[-1].time_s
         late = [r for _, r in estimator.run(part.samples) if end_s - 240.0 < r.time_s < end_s - 20.0]
         assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 15.0
         assert estimator.pack_size is not None and estimator.pack_size.fullest_cell_V > ORDINARY_FULL_V
-        ledger.save("A", remembering.taught(generic, options, part, health).record)
+        ledger.save("A", remembering.flight_for_ledger(generic, options, part, health).record)
         assert ledger.last("A").fullest_cell_V > ORDINARY_FULL_V
         assert not ledger.last("A").findings
 
@@ -208,11 +208,11 @@ def test_what_was_read_by_the_curve_of_ordinary_cells_is_left_out_for_others(tmp
     options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         for number in (1, 2):
-            ledger.save("A", remembering.taught(generic, options, lihv(number, 0.81, number)).record)
+            ledger.save("A", remembering.flight_for_ledger(generic, options, lihv(number, 0.81, number)).record)
         full = lihv(3, 1.0, 5)
-        health = remembering.recalled(ledger, "A", full, generic)
+        health = remembering.health_before(ledger, "A", full, generic)
         estimator = Estimator(generic, options, remembered=health)
-        after = ledger.save("A", remembering.taught(generic, options, full, health).record)
+        after = ledger.save("A", remembering.flight_for_ledger(generic, options, full, health).record)
         assert [finding.kind for finding in after.findings] == ["higher_charge"]
         own = ledger.pack("A").outlook
         assert own.capacity_lo_Ah < FULL_AH < own.capacity_hi_Ah

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from uavbatt.telemetry.streams import Counts, Stream
+from uavbatt.telemetry.streams import SequenceNumbers, Stream
 
 FRAME_S = 0.05
 ADDRESS = ("10.0.0.1", 14550)
@@ -15,7 +15,7 @@ ADDRESS = ("10.0.0.1", 14550)
 
 def told(numbers: Iterable[int]) -> list[object]:
     """The senders that the frames are given to, twenty a second."""
-    counts = Counts(ADDRESS)
+    counts = SequenceNumbers(ADDRESS)
     return [counts.stream(number % 256, k * FRAME_S) for k, number in enumerate(numbers)]
 
 

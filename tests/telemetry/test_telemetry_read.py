@@ -120,13 +120,12 @@ def flight(samples: list[Sample], facts: PackFacts | None = None, **more: object
 
 def test_description_of_a_good_log() -> None:
     info = describe(flight(flown()))
-    assert (info.trust, info.reasons, info.gaps) == ("yes", (), ())
-    assert info.rate_Hz == 1.0
-    assert info.drawn_Ah == pytest.approx(15 * 299 / 3600, rel=0.01)
-    assert info.counter_Ah == pytest.approx(info.drawn_Ah, rel=0.01)
-    assert info.missing == ("reported_soc",)
-    assert info.current_range_A == (10.0, 20.0)
-    assert any("trust        yes" in line for line in lines(info))
+    found, told = info.figures, "\n".join(lines(info))
+    assert (info.trust, info.reasons, found.gaps, found.step_s) == ("yes", (), (), 1.0)
+    assert found.total.charge_Ah == pytest.approx(15 * 299 / 3600, rel=0.01)
+    assert found.total.counter_Ah == pytest.approx(found.total.charge_Ah, rel=0.01)
+    assert "median rate 1 Hz" in told and "missing      reported_soc\n" in told
+    assert "current      10.00 .. 20.00 A" in told and "trust        yes" in told
 
 
 @pytest.mark.parametrize(
@@ -159,10 +158,11 @@ def test_rows_without_a_voltage_change_no_verdict(facts: PackFacts) -> None:
 def test_gaps_counter_and_facts() -> None:
     rows = flown()
     info = describe(flight(rows[:100] + rows[130:]))
-    assert info.gaps == ((99.0, 31.0),) and info.trust == "with care"
-    assert info.counter_Ah == pytest.approx(info.drawn_Ah, rel=0.02)  # the gap is in neither
+    assert info.figures.gaps == ((99.0, 31.0),) and info.trust == "with care"
+    total = info.figures.total
+    assert total.counter_Ah == pytest.approx(total.charge_Ah, rel=0.02)  # the gap is in neither
     slow = describe(flight(flown(step_s=12.0)))
-    assert slow.gaps == ()
+    assert slow.figures.gaps == ()
     off = [Sample(s.time_s, s.voltage_V, s.current_A, s.temp_C, s.consumed_Ah * 1.3) for s in rows]
     assert "counter says" in describe(flight(off)).reasons[0]
     assert describe(flight(rows, PackFacts(4, 5.0, sag_compensated=True))).trust == "with care"
@@ -196,8 +196,8 @@ def test_real_logs_are_described(shared_data: Path) -> None:
     solo = describe(read_log(shared_data / "flights/ardupilot/solo_4s_5200_smart.bin"))
     assert solo.trust == "with care" and any("hardly follows" in r for r in solo.reasons)
     sound = describe(read_log(shared_data / "truth/reference/r0/flight_1.tlog"))
-    assert (sound.trust, sound.temperature) == ("yes", "plausible")
-    assert sound.drawn_Ah == pytest.approx(sound.counter_Ah, rel=0.01)
+    assert (sound.trust, sound.figures.temperature) == ("yes", "plausible")
+    assert sound.figures.total.charge_Ah == pytest.approx(sound.figures.total.counter_Ah, rel=0.01)
 
 
 def of_batteries(*currents_A: float) -> LogBuilder:

@@ -11,7 +11,7 @@ from uavbatt import dataset
 from uavbatt.dataset import DataSet, Run
 from uavbatt.validation.gating.ambient_claims import ambient_claims
 from uavbatt.validation.gating.gate import Limits
-from uavbatt.validation.gating.heldout import HeldOut, Single
+from uavbatt.validation.gating.heldout import HeldOut, HeldOutRun
 from uavbatt.validation.judging.readings import Readings, read_once
 
 TIME_S = np.arange(0.0, 300.0, 60.0)
@@ -32,7 +32,7 @@ def repeated(*ambients_C: float) -> DataSet:
 def held_out(readings: Readings) -> HeldOut:
     """A model that is 50 mV too high at every other temperature."""
     others: list[Run] = [r for r in readings.dataset.runs if r.ambient_C != readings.ambient_C]
-    singles = tuple(Single(r.ambient_C, r.sample, r.time_s, r.voltage_V, r.voltage_V + 0.05) for r in others)
+    singles = tuple(HeldOutRun(r.ambient_C, r.sample, r.time_s, r.voltage_V, r.voltage_V + 0.05) for r in others)
     home = np.array([[r.voltage_V] for r in readings.dataset.at(readings.ambient_C)])
     return HeldOut("circuit", readings.ambient_C, 3, TIME_S, home, home, singles=singles)
 

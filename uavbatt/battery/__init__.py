@@ -1,1 +1,1 @@
-"""THE MODEL: equations, effects, pack, state space, first state, battery and vehicle files."""
+"""THE MODEL: equations, effects, pack, state space, initial state, battery and vehicle files."""

@@ -1,11 +1,11 @@
-"""The battery file `NAME.battery.toml`: what one type of battery can give, and why it may be believed.
+"""The battery file `NAME.battery.toml`: the model of one type of battery, and the evidence for it.
 
 Sections: [battery], [parameters], [[effects]], [discrepancy], [corridor], [certificate]. The certificate's
-`content_sha256` is the hash of the canonical JSON of everything else but the date and the tool's version: an
-integrity check, so that no edit goes unnoticed. It is not a signature.
+`content_sha256` is the hash of the canonical JSON of everything else except the date and the tool's version: an
+integrity check that detects every edit. It is not a signature.
 
-A file whose content is not what was sealed, or whose gate said fail, is refused; let through all the same, its status
-is `edited` from here on, whatever it says of itself: every output names the status.
+A file whose hash does not match, or whose gate failed, is refused. If the user allows it all the same, its status is
+`edited` from then on, and every output names the status.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _decoded(text: bytes, origin: str) -> BatteryFile:
 
 
 def _why_uncertified(file: BatteryFile) -> str:
-    """Return the reason why the certificate may not be believed; empty when it may be."""
+    """Return the reason why the certificate is not valid; empty if it is valid."""
     if file.certificate.content_sha256 != content_hash(file):
         return (
             "certificate.content_sha256: expected the hash of the file's content, so the file was edited after it was "
@@ -134,7 +134,7 @@ def _why_uncertified(file: BatteryFile) -> str:
 
 
 def _let_through(file: BatteryFile) -> BatteryFile:
-    """The file marked as what it is; claims that were made for another content are gone, those that failed stay."""
+    """Return the file with the status `edited`; claims about other content are removed, failed claims stay."""
     actual = content_hash(file)
     if file.certificate.content_sha256 != actual:
         made = msgspec.structs.replace(file.certificate, verdicts=[], statistics={}, validated_ambient_C=[])
@@ -212,7 +212,7 @@ def _check_effect(entry: EffectEntry, origin: str) -> None:
 
 
 def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
-    """Every float of the content with the place it stands at."""
+    """Yield every float of the content with its place in the file."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _numbers(inner, f"{place}.{key}" if place else key)

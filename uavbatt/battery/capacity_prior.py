@@ -1,13 +1,13 @@
 """Prior of the capacity that packs in service still hold, as a bank of members (a sum of Gaussians).
 
-A season takes 10 to 25 % of a pack's capacity, and nobody writes it down: a pack that nobody measured holds between
-0.7 and 1.05 of what is printed on it. Rarely it is quite another pack than stated, or the current sensor reads low or
-high, which looks the same. A Gaussian around 1 cannot say that, and a filter linearised at one capacity does not see
-the knee of a smaller one. So the belief is a sum of Gaussians, one every tenth of the capacity.
+A season of use takes 10 to 25 % of a pack's capacity. So an unmeasured pack holds between 0.7 and 1.05 of its printed
+capacity. Rarely it is a different pack than stated, or the current sensor reads low or high, which looks the same. A
+single Gaussian around 1 cannot describe that, and a filter linearised at one capacity does not see the knee of a
+smaller one. So the belief is a sum of Gaussians, one for every tenth of the capacity.
 
-Of a known make all of them begin with its ohm times Ah, which fading leaves as it is. Of an unknown one they begin with
-the same ohms, so that the scale of ohm·Ah is that of capacity: else a pack of few ohms, which is a matter of its make,
-would speak against every small capacity.
+For a known make all members begin with its ohm·Ah, which fading does not change. For an unknown make they begin with
+the same ohms, so that the scale of ohm·Ah is that of capacity: otherwise a pack of low resistance, which depends on the
+make, would be evidence against every small capacity.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Capacities(NamedTuple):
 
 
 def capacities(pack: Pack) -> Capacities:
-    """Return the prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
+    """Return the prior of an unmeasured pack; `pack.capacity_scale_sd` widens it."""
     is_known = pack.capacity_short_sd == 0.0  # the make was measured
     prior, overlap = (PRIOR, OVERLAP) if is_known else (UNKNOWN_MAKE_PRIOR, UNKNOWN_MAKE_OVERLAP)
     widest = math.hypot(prior[1][2], pack.capacity_scale_sd)
@@ -72,6 +72,6 @@ def capacities(pack: Pack) -> Capacities:
 
 
 def known_capacity(pack: Pack) -> Capacities:
-    """Return one member, around the stated capacity: for a pack that was measured."""
+    """Return one member around the stated capacity, for a measured pack."""
     capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
     return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)

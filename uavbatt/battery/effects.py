@@ -13,7 +13,7 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Quantity holds one parameter of an effect, and what is assumed of it when nothing else is known.
+    """Quantity holds one parameter of an effect, with its prior and bounds.
 
     `prior`, `prior_sd` and the bounds `low` and `high` are in `unit`; with `log`, the sd is relative (a factor).
     `neutral` means "effect off".
@@ -198,7 +198,7 @@ EFFECTS = {effect.name: effect for effect in CELL_EFFECTS + INSTALLATION_EFFECTS
 
 
 def unit_words(unit: str) -> str:
-    """Return a unit as it is shown: empty for a pure number."""
+    """Return a unit in the form that is shown; empty for a pure number."""
     return "" if unit == "1" else unit
 
 

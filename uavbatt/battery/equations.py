@@ -45,7 +45,7 @@ def decay(dt_s: Number, tau_s: Number) -> Number:
 
 
 def relax_to(value: Number, target: Number, share: Number) -> Number:
-    """Return the value that keeps `share` of its deviation from a held target."""
+    """Return the value after its deviation from a held target has decayed to `share`."""
     return target + (value - target) * share
 
 
@@ -82,10 +82,10 @@ def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Nu
 
 
 def hysteresis_fraction(drawn: Number, charge: Number) -> Number:
-    """Return the share of the way from the charge to the discharge branch after `drawn` of the charge.
+    """Return the hysteresis fraction, from the charge branch (0) to the discharge branch (1), after `drawn` charge.
 
-    It has come to 1 - 1/e after `charge`. Plett's one-state hysteresis (2015, eq. 2.33) for a current that never turns
-    back: h' = (1 - h) / charge.
+    It is 1 - 1/e after `charge`. Plett's one-state hysteresis (2015, eq. 2.33) for a current that never changes its
+    sign: h' = (1 - h) / charge.
     """
     return -np.expm1(-np.maximum(drawn, 0.0) / charge)
 
@@ -93,8 +93,8 @@ def hysteresis_fraction(drawn: Number, charge: Number) -> Number:
 def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> Number:
     """Return the current [A] that draws `power_W` from behind an inner resistance: the smaller root of (E - R I) I = P.
 
-    Beyond the largest power that the source can give, E²/4R, it is the current of that largest power, E/2R. A source
-    whose voltage has turned round, far beyond empty, gives next to nothing.
+    Beyond the largest power that the source can give, E²/4R, it is the current of that largest power, E/2R. If the
+    source voltage is negative, far beyond empty, the current is nearly 0.
     """
     emf_V = np.maximum(emf_V, LEAST_EMF_V)
     square_V2, four_ohm = emf_V * emf_V, 4.0 * resistance_ohm

@@ -1,4 +1,4 @@
-"""Cells that charge to 4.35 V ("LiHV"): an ordinary cell whose charge goes on where the others stop."""
+"""Cells that charge to 4.35 V ("LiHV"): modelled as an ordinary cell with more charge above its full voltage."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The first row of a record: what it tells of the charge, and of the overpotentials that nobody saw build up.
+"""The initial state from the first row of a record: the charge, and the overpotentials that have built up before it.
 
-A pack that idles on its avionics shows nearly its open-circuit voltage. A log that begins in mid-air shows a cell
-that has been drained for as long as the charge that is gone took, at the present current as a first guess: without
-that, its polarisation and diffusion would be read as charge that is missing.
+A pack that idles on its avionics shows nearly its open-circuit voltage. If a log begins in the air, the missing charge
+is assumed to have been drawn at the present current. This gives the polarisation and diffusion at the first row;
+without them, their voltage would be read as missing charge.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import SOC_GRID, Array, Parameters, State
 
 IDLE_C_RATE = 0.3  # avionics and a companion computer draw up to 0.2 C of a small pack; a hover 2 to 6 C
-# Of every five flights four begin with a pack straight from the charger, which stops within a percent of full.
+# Four of five flights begin with a pack straight from the charger, which stops within a percent of full.
 FULL_SHARE, FULL_SD = 0.8, 0.01
 ANY_SD = 0.4  # of a charge that nothing is known of
 SLOPE_WITHIN, LEAST_SLOPE_V = 0.04, 0.1  # the OCV's slope at a charge is that over so far on both sides [V per charge]

@@ -8,11 +8,11 @@
     V     = OCV(soc) - V_h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
     R_t   = V_t/(|c| + c_t)                              charge transfer that has become sluggish
 
-V_h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
-drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
-h_s is the charge that the surface of the particles lacks per C of load, beside what the rest of the model has of it.
-k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
-that is off leaves its parameters at the neutral default of `Parameters`: one model, no second code path.
+V_h is the hysteresis: a pack is charged to full and then flown, so that its current changed sign at soc = 1 and the
+charge drawn since is 1 - soc. So it needs no state of its own; a partly charged pack is not treated differently.
+h_s is the charge that the surface of the particles lacks per C of load, beyond what the rest of the model contains.
+k_f and k_s are the polarisations as multiples of R0: like R0 they grow in an empty or cold cell. An effect that is off
+has the neutral defaults of `Parameters`: there is one model and no second code path.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MOST_STEPS = 720  # of a silence of more than an hour, in which a pack rests: lo
 
 
 class Parameters(NamedTuple):
-    """These are the parameters of one cell, normalised by capacity; the defaults are neutral ("effect off")."""
+    """Parameters holds the parameters of one cell, normalised by capacity; the defaults are neutral ("effect off")."""
 
     ocv_V: Array  # on SOC_GRID, or [batch, grid]
     r0_ohmAh: Array  # on SOC_GRID, or [batch, grid]; at 25 °C
@@ -91,14 +91,14 @@ def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
 
 
 def _ocv_V(p: Parameters, soc: Number, charged_V: Number) -> Number:
-    """OCV(soc) [V] from `charged_V`, what the table says of it."""
+    """Return OCV(soc) [V] from `charged_V`, its value in the table."""
     if not eq.is_on(p.hysteresis_V):
         return charged_V
     return charged_V - p.hysteresis_V * eq.hysteresis_fraction(1.0 - soc, TURN_CHARGE)
 
 
 def _r0_ohmAh(p: Parameters, new_ohmAh: Number, core_C: Number) -> Number:
-    """R0(soc, T) [ohm·Ah] from `new_ohmAh`, what the table says of it."""
+    """Return R0(soc, T) [ohm·Ah] from `new_ohmAh`, its value in the table."""
     return p.resistance_gain * new_ohmAh * eq.arrhenius(core_C, p.activation_K)
 
 
@@ -138,26 +138,26 @@ def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: N
 
 
 def voltage_under(emf_V: Number, series_ohmAh: Number, under: UnderLoad) -> Number:
-    """Return `loaded_voltage` [V] where the drop of a sluggish reaction is known already."""
+    """Return `loaded_voltage` [V] with a known drop of a slow reaction."""
     return emf_V - under.c_rate * series_ohmAh - under.transfer_V
 
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
-    """Return c R_t [V], the drop that a sluggish reaction takes at once."""
+    """Return c R_t [V], the immediate drop of a slow reaction."""
     if not eq.is_on(p.transfer_V):
         return 0.0
     return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)
 
 
 class UnderLoad(NamedTuple):
-    """UnderLoad holds the load of a cell: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
+    """UnderLoad holds the load of a cell: its C-rate [1/h], and the drop of a slow reaction [V]."""
 
     c_rate: Number
     transfer_V: Number
 
 
 def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> UnderLoad:
-    """Return the C-rate and the drop of a sluggish reaction at which a cell gives a power [W/Ah].
+    """Return the C-rate and the drop of a slow reaction at which a cell gives a power [W/Ah].
 
     `emf_V` stands behind `series_ohmAh`, the cell's own resistance included. The drop of the reaction hardly changes
     with the load: its value at the rate that a cell without resistance would have is good to 1 mV.
@@ -167,7 +167,7 @@ def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: 
 
 
 def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
-    """Return the drop [V] because the surface of the particles lacks charge: OCV(soc) - OCV(soc - c h).
+    """Return the voltage drop [V] by lack of charge at the surface of the particles: OCV(soc) - OCV(soc - c h).
 
     Diffusion in the particles carries the current from a surface that is emptier than their mean (Newman & Balsara
     2021, chapter 22); where the OCV is steep that costs most.
@@ -211,14 +211,14 @@ def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Numbe
 
 
 def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
-    """Return `step` where the lags of `dt_s` are known already."""
+    """Return `step` with known lags of `dt_s`."""
     return step_with_resistance(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
 
 
 def step_with_resistance(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """Return `step` where the lags of `dt_s` and the resistance [ohm·Ah] are known already."""
+    """Return `step` with known lags of `dt_s` and a known resistance [ohm·Ah]."""
     later = step_cell(p, s, UnderLoad(c_rate, transfer_drop(p, c_rate)), r_ohmAh, ambient_C, dt_s, lags)
     sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
@@ -227,7 +227,7 @@ def step_with_resistance(
 def step_cell(
     p: Parameters, s: State, under: UnderLoad, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """Return `step_with_resistance` with the sensor left as it is, which nobody reads in a forecast."""
+    """Return `step_with_resistance` without the sensor temperature, which a forecast does not need."""
     c_rate = under.c_rate
     drop_V = c_rate * r_ohmAh
     lost_V = drop_V + s.polarisation_V + s.diffusion_V + under.transfer_V
@@ -250,7 +250,7 @@ def step_cell(
 def _core_C(
     p: Parameters, core_C: Number, heat_W: Number, c_rate: Number, ambient_C: Number, dt_s: Number, still: Number
 ) -> Number:
-    """Core temperature after a step in which `heat_W` [W/Ah] is held; `still` is what stays of it without airflow."""
+    """Return the core temperature after a step with held `heat_W` [W/Ah]; `still` : its decay without airflow."""
     cooling = p.cooling_WpKAh * eq.load_factor(p.airflow_gain_h, c_rate)
     share = eq.decay(dt_s, p.heat_capacity_JpKAh / cooling) if eq.is_on(p.airflow_gain_h) else still
     return eq.relax_to(core_C, eq.settled_temperature(heat_W, ambient_C, cooling), share)
@@ -276,7 +276,7 @@ def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: fl
 
 
 def advance_by(p: Parameters, s: State, c_rate: Number, ambient_C: Number, over: Stride) -> State:
-    """Return `advance` where the stride is known already."""
+    """Return `advance` with a known stride."""
     for _ in range(over.steps):
         s = step_with_decay(p, s, c_rate, ambient_C, over.dt_s, over.lags)
     return s

@@ -1,8 +1,8 @@
 """Open-loop simulation of many records at once: current in, voltage and temperature out.
 
-No measurement corrects the state on the way, so what differs from the measured voltage is the model's own
-error. Each step is one set of array operations over the batch (records × parameter variants), so that a whole
-Jacobian costs little more than one simulation.
+No measurement corrects the state, so that the difference to the measured voltage is the model's own error. Each step is
+one set of array operations over the batch (records × parameter variants), so that a whole Jacobian costs little more
+than one simulation.
 """
 
 from __future__ import annotations

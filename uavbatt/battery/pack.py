@@ -45,7 +45,7 @@ class Installation(NamedTuple):
 
 
 def most_energy_Wh(pack: Installation) -> Number:
-    """Return the energy of a full pack [Wh], rather too much: every cell at FULL_CELL_V all the way."""
+    """Return an upper bound of the energy of a full pack [Wh]: every cell at FULL_CELL_V to the end."""
     return pack.present_capacity_Ah * pack.cells * FULL_CELL_V
 
 
@@ -85,7 +85,7 @@ def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) ->
 
 
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
-    """Return the mean voltage of all cells less `strong_V`, the others' [V], as the weakest cell pulls it down."""
+    """Return the mean voltage of all cells less `strong_V` of the other cells [V]: the effect of the weakest cell."""
     if not eq.is_on(pack.deficit):
         return 0.0
     return (weak_voltage(pack, p, s, c_rate) - strong_V) / pack.cells

@@ -1,14 +1,14 @@
-"""The power of a multirotor over airspeed and climb: what a vehicle file's `[powers]` mean.
+"""The power of a multirotor over airspeed and climb: the law behind `[powers]` in a vehicle file.
 
     P / P_hover = 1 + a (k(v) - 1) + b (v / 10)³ + c₊ climb + d₊ f climb - (c₋ + d₋ f) sink + take-off + landing
     k⁴ + k² (v / v_h)² = 1       induced velocity of a rotor in level flight over that in hover (momentum theory)
-    f = v² / (v² + 8²)           how much of fast flight there is: climbing costs more, and sinking spares more, in it
+    f = v² / (v² + 8²)           the share of fast flight, in which climbing costs more and sinking saves more
 
-With v the airspeed and v_h the induced velocity in hover [m/s]. The shape is linear in what is learned, so that least
-squares with a prior finds it, and few data leave it where theory and other aircraft have it. A flight's own level, its
-payload and pack, scales all of it but the drag b: a payload has to be lifted, and the air does not see it.
+v is the airspeed and v_h the induced velocity in hover [m/s]. The law is linear in the learned shares, so that least
+squares with a prior finds them; with few data they stay near theory and other aircraft. The level of a flight (its
+payload and pack) scales all of it except the drag b: a payload must be lifted, but it does not change the drag.
 
-An aircraft that turns and speeds up to V passes through a hover, and within T gains the kinetic energy m V² / 2 with
+An aircraft that turns and accelerates to V passes through a hover, and within T gains the kinetic energy m V² / 2 with
 the efficiency of its rotors in hover, η = m g v_h / P_hover:
 
     P_turn = (P_hover + P(V)) / 2 + P_hover V² / (2 g v_h T)
@@ -38,7 +38,7 @@ Spread = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 
 
 class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """They give the power asked over airspeed and climb; all but `hover_W` and `induced_ms` are shares of the hover's.
+    """Powers holds the power law of an aircraft; all but `hover_W` and `induced_ms` are shares of the hover power.
 
     `climb` and `descent` are per m/s; the spreads are relative standard deviations between flights (`level_sd`: payload
     and pack; `fast_sd`: wind and attitude in fast flight or climb) and from row to row within a leg (`row_sd`).
@@ -66,8 +66,8 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return np.array([getattr(self, term) for term in TERMS])
 
 
-# An aircraft that nobody knows: momentum theory with 60 % of the hover's power induced, and the slopes of the
-# multirotors that we have measured. `hover_W` is set from the power flown so far.
+# An unknown aircraft: momentum theory with 60 % of the hover power induced, and the slopes of the measured multirotors.
+# `hover_W` is set from the power flown so far.
 UNKNOWN = Powers(hover_W=1.0, level_sd=0.12, fast_sd=0.15)
 PRIOR_SD = np.array([0.15, 0.15, 0.03, 0.03, 0.05, 0.05, 0.08, 0.08])  # of the shares, between aircraft
 

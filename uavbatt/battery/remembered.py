@@ -1,8 +1,8 @@
-"""A pack that was met before: the prior of its next flight, as members of the filter's bank.
+"""The prior of a flight of a known pack, from its health in the ledger, as members of the filter's bank.
 
-What is remembered is a Gaussian over the pack's scales. It replaces the prior of packs in service, but never wholly: a
-contact may have burnt, a cell may have died, the label may be another pack's. So a small part of the weight stays with
-"the ohms have changed" and with "it is any pack in service", and the flight's own readings decide between them.
+The health is a Gaussian over the pack's scales. It replaces the prior of packs in service, but not completely: a
+contact may be burnt, a cell may have died, the label may be of another pack. So a small part of the weight stays with
+"the resistance has changed" and with "it is any pack in service", and the readings of the flight decide between them.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ CAUSES = f"damaged, or {ANOTHER}"
 class PackHealth(NamedTuple):
     """PackHealth holds a pack's ln of ohms per cell and ln of Ah at 25 °C and half charge, and their covariance [2, 2].
 
-    They are in ohms and ampere-hours, so that they hold against any battery file and whatever capacity the vehicle
-    states.
+    They are in ohms and ampere-hours, so that they do not depend on the battery file or on the stated capacity.
     """
 
     log_ohm: float
@@ -43,7 +42,7 @@ class PackHealth(NamedTuple):
     fullest_cell_V: float = ORDINARY_FULL_V  # at which a full cell has rested [V]
 
     def may_be(self, pack: Pack) -> bool:
-        """Return True unless the pack has another number of cells, so that it is another pack under this name."""
+        """Return False if the pack has another number of cells, so that it is another pack under this name."""
         return self.cells in (0, int(pack.installation.cells))
 
 
@@ -67,7 +66,7 @@ FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
 
 
 def of_known_cells(options: PackOptions, health: PackHealth | None) -> PackOptions:
-    """Return what the caller states of a pack, with the kind of cells that earlier flights have shown."""
+    """Return the options with the kind of cells (fullest voltage) that earlier flights have shown."""
     if health is None or health.fullest_cell_V <= options.fullest_cell_V:
         return options
     return replace(options, fullest_cell_V=health.fullest_cell_V)
@@ -80,7 +79,7 @@ def type_ohm(pack: Pack) -> float:
 
 
 def hover_drop_V(pack: Pack) -> float:
-    """Return what the resistance of the battery file takes of a cell at the current of a hover [V]."""
+    """Return the voltage drop of a cell by the battery file's resistance at hover current [V]."""
     return HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
 
 
@@ -98,15 +97,16 @@ def health_of(pack: Pack, scales: Scales) -> PackHealth:
 
 
 def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
-    """Return the members of a pack that was met before, or of one that nobody knows."""
+    """Return the members of the prior, of a pack with health from the ledger or of an unknown pack."""
     return capacities(pack) if health is None or not health.may_be(pack) else remembered_capacities(pack, health)
 
 
 def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
-    """Return the pack with part of its additional ohms as a sluggish reaction, whose drop does not grow at the knee.
+    """Return the pack with part of its additional resistance as a slow reaction, whose drop does not grow at the knee.
 
-    A resistance that grows with an emptying cell would end a warm flight early; a drop that does not would hide the
-    cold. Which of the two ages a pack no flight of it tells apart, so that each gets its share.
+    Additional resistance alone, which grows as the cell empties, would end a warm flight too early; the reaction alone
+    would hide the effect of cold. The flights of a pack do not show which of the two has aged, so that each gets a
+    share.
     """
     if health is None or not health.may_be(pack):
         return pack
@@ -117,20 +117,20 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
 
 
 def _reacting_V(pack: Pack, log_resistance: float) -> float:
-    """The drop of the reaction [V] in a pack of so much resistance, as ln of the battery file's."""
+    """Return the drop of the reaction [V] in a pack of this resistance (ln of its ratio to the battery file's)."""
     reacting_V = REACTION_SHARE * math.expm1(log_resistance) * hover_drop_V(pack)
     return float(pack.cell.transfer_V) + max(reacting_V, 0.0)
 
 
 def _without_reaction(log_resistance: float) -> float:
-    """Return what is left to the resistance once the reaction has its share, as ln of the battery file's."""
+    """Return the resistance without the share of the reaction (ln of its ratio to the battery file's)."""
     if log_resistance <= 0.0:
         return log_resistance
     return math.log1p((1.0 - REACTION_SHARE) * math.expm1(log_resistance))
 
 
 def wear_of(pack: Pack, health: PackHealth) -> tuple[dict[str, dict[str, float]], tuple[float, float]]:
-    """Return the remembered wear as effects of a battery file, and the sd of the fade and of the growth."""
+    """Return the wear in the health as effects of a battery file, and the sd of fade and resistance growth."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
     growth = max(math.expm1(_without_reaction(float(log_resistance))), 0.0)  # packs age in one direction
     effects = {
@@ -143,7 +143,7 @@ def wear_of(pack: Pack, health: PackHealth) -> tuple[dict[str, dict[str, float]]
 
 
 def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
-    """Return the members of a pack that was met before: around what is remembered, and the doubt about it."""
+    """Return the members of the prior of a known pack: around its health, and for the doubts about it."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
     log_resistance = _without_reaction(log_resistance)
     resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
@@ -176,10 +176,10 @@ def _together(*parts: Capacities) -> Capacities:
 
 
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
-    """Return the reason why a pack in flight is hardly the remembered one, by its cells or ohms; empty when it may be.
+    """Return in words why the pack in flight is hardly the one in the ledger, by cells or ohms; empty if it may be.
 
-    wear: ohms above the type's, relative, as the flight has them, without what a reaction takes (`with_reaction`);
-    wear_sd: of ln(1 + wear).
+    wear : ohms above the type's by the flight, relative, without the share of the reaction (`with_reaction`)
+    wear_sd : sd of ln(1 + wear)
     """
     if not health.may_be(pack):
         return f"{pack.installation.cells} cells, {health.cells} remembered of this pack: {ANOTHER}"
@@ -191,6 +191,6 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     sd = math.hypot(wear_sd, math.sqrt(health.covariance[0, 0]))
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
-    tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that it is not said anew at every per cent
+    tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that the text does not change with every per cent
     direction, causes = ("more", CAUSES) if apart > 0.0 else ("fewer", ANOTHER)
     return f"about {tens}% {direction} ohms than remembered of this pack: {causes}"

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Pack(NamedTuple):
-    """Pack applies a battery file to one aircraft's pack: the parameters, limits [V] and standard deviations for it."""
+    """Pack is a battery file applied to one aircraft's pack: its parameters, limits [V] and standard deviations."""
 
     cell: Parameters
     installation: Installation
@@ -54,38 +54,37 @@ class Pack(NamedTuple):
 ROW_SHARE = 0.12
 DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
 COLLAPSE_V = 4.0  # volts per unit of charge
-# A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
-# sluggishly. That takes a voltage at once when the load comes, the same at every charge and temperature: 0.05 V a cell
-# at 0.6 of the exchange current, where a pack may be that has lost a sixth of its charge. With less room for it, its
-# drop is taken for ohms, which grow in the cold and at the knee, and for charge that makes up for them.
+# A pack in service is not the tested pack: electrodes that have aged or are of another batch react more slowly. This
+# costs a voltage as soon as the load comes, the same at every charge and temperature: 0.05 V a cell at 0.6 of the
+# exchange current, which a pack that has lost a sixth of its charge may have. With a smaller sd its drop would be taken
+# for resistance, which grows in the cold and at the knee, and for charge that compensates for it.
 SERVICE_REACTION_SD_V = 0.05
-# What is left, now that the reaction has a component of its own, wanders: by 5 to 15 mV within some minutes as the cell
-# warms and empties.
+# The rest, beside the reaction, changes by 5 to 15 mV within some minutes as the cell warms and empties.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.012, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
-# Of a make that nobody tested the printed capacity is no measurement either.
+# The printed capacity of an untested make is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
-# Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new,
-# and its wide discrepancy takes up what the drop is wrong by.
+# Its curve is a mean over makes, and is off to the same side for minutes at a time: a tenth of the readings is
+# independent, and its wide discrepancy covers the error of the drop.
 UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
 UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
 # Its ohms have wide room already. With more for the reaction, what rounding does to a reading grows in a log that
 # begins in the air.
 UNKNOWN_MAKE_REACTION_SD_V = 0.02
-# A mean over makes says how many volts a charge has, not how much of it a make leaves in its cells when the voltage
-# falls: 0.5 to 5 % at 2 to 5 C in three makes, 0 to 24 % in a fourth, which diffuses slowly.
+# A mean over makes does not tell how much charge a make leaves in its cells at the knee: 0.5 to 5 % at 2 to 5 C in
+# three makes, 0 to 24 % in a fourth, which diffuses slowly.
 UNKNOWN_MAKE_EMPTY_SOC_SD = 0.05
-# A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
+# A fit has seen packs at rest mostly when full; a mean over makes is equally good at rest at any charge.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
-# The standard error of a parameter is its own, whatever the others do; but a curve found too high at every charge goes
-# with ohms found too few, and the voltage of a flight is known far better than either. Of three makes whose curve is
-# known 11 mV were stated, and 4 mV of it changed from one charge to another. A certified file may come from tests whose
-# load nobody measured, as the study's: its errors hold what that leaves open.
+# The standard error of a parameter ignores correlations: a curve that is too high at every charge comes with too little
+# resistance, and the voltage of a flight is known far better than either. Of three makes with a known curve 11 mV were
+# stated, of which 4 mV changed from one charge to another. A certified file may come from tests with an unmeasured
+# load, as the study's: its standard errors include that.
 ALONE_SHARE = {"fitted": 0.4}
-# The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
+# The discrepancy of a prior is that of its whole curve, whose knots have their own errors: this share remains.
 BESIDE_KNOTS = 0.45
-# The status widens the belief: what was not gated may be another battery than it says. (A generic file states
-# spreads that are wide by themselves; of a file that was let through nobody knows where its numbers come from.)
+# The status widens the belief: a file that was not gated may describe another battery. (A generic file has wide spreads
+# by itself; the numbers of an edited file may come from anywhere.)
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 
@@ -218,7 +217,7 @@ def _ocv_sd_V(file: BatteryFile) -> Array:
 
 
 def _drift_sd_V(ocv_sd_V: Array, least: float) -> Array:
-    """Return what of the error of an open-circuit voltage is not alike at every charge; at least this share of it."""
+    """Return the part of the error of an open-circuit voltage that differs between charges; at least a share of it."""
     alike_V2 = np.median(ocv_sd_V) ** 2
     return np.asarray(np.sqrt(np.maximum(ocv_sd_V**2 - alike_V2, (least * ocv_sd_V) ** 2)))
 

@@ -1,7 +1,7 @@
 """The sections of a battery file and the range of every number in them.
 
-A number outside its range is a slip of the unit, or damage: no battery that flies has it. What a quantity of an effect
-may be stands in `effects`; what the keys must be to each other is checked where the file is read.
+A number outside its range is a mistake of the unit, or damage: no flying battery has it. The ranges of an effect's
+quantities are in `effects`; relations between keys are checked where the file is read.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Lasting = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]  # [s]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file is immutable and refuses a key that it does not know."""
+    """Record is a section of the file: immutable, without unknown keys."""
 
 
 class Battery(Record, frozen=True):
@@ -75,9 +75,9 @@ class EffectEntry(Record, frozen=True):
 class Wander(Record, frozen=True):
     """[discrepancy.wander] describes how the model's error goes on over time, learned from effect-free records.
 
-    Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, with
-    white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's. Nothing was
-    learned of flights that begin colder than `coldest_C`.
+    Under load the voltage error is an Ornstein-Uhlenbeck process with the sd `voltage_sd_V` at the charges `soc` and
+    the time constant `voltage_time_s`, plus white noise; at rest before take-off it is constant with the sd
+    `rest_sd_V`. Volts are the pack's. No flight that began colder than `coldest_C` was used.
     """
 
     soc: SocKnots
@@ -94,7 +94,7 @@ class Wander(Record, frozen=True):
 class Discrepancy(Record, frozen=True):
     """Discrepancy states the error of the model on effect-free data, per pack of `cells_series` cells: [discrepancy].
 
-    `wander` is missing in files from before it was known; the other numbers of those files stand in for it.
+    Older files have no `wander`; their other numbers are used instead.
     """
 
     voltage_bias_V: Volts
@@ -131,9 +131,9 @@ FITTED_LOW, FITTED_HIGH = "fitted_low_C", "fitted_high_C"  # statistics: the tem
 
 
 class Certificate(Record, frozen=True):
-    """Certificate says who vouches for the file, and on which data: [certificate].
+    """Certificate says how the file was tested, and on which data: [certificate].
 
-    The status `edited` is none to ship: it marks a file that was let through.
+    The status `edited` is never written: it marks a file that was allowed in spite of its certificate.
     """
 
     status: Literal["certified", "fitted", "generic", "edited"]
@@ -157,12 +157,13 @@ class BatteryFile(Record, frozen=True):
     corridor: CorridorSection | None = None
 
     def __repr__(self) -> str:
-        """Return one line: the tables of the file are long."""
+        """Return one line, without the long tables."""
         return f"<BatteryFile {self.battery.name}: {self.battery.cells_series}S, {self.status}>"
 
     @property
     def status(self) -> str:
-        """Return `certified`, `fitted`, `generic`, or `edited`: let through though not what was sealed or passed."""
+        """Return `certified`, `fitted`, `generic`, or `edited` (allowed in spite of a broken hash or failed
+        verdict)."""
         return self.certificate.status
 
     @property
@@ -172,7 +173,7 @@ class BatteryFile(Record, frozen=True):
 
     @property
     def caveat(self) -> str:
-        """Return the reason why the certificate vouches for nothing; empty when the file is certified."""
+        """Return the reason why the file is not certified; empty if it is."""
         if self.status == "certified":
             return ""
         return f"battery file is {self.status}, not certified" + (f": {LET_THROUGH}" if self.status == "edited" else "")

@@ -1,7 +1,7 @@
 """State space of a pack: a mean and a covariance over nine named components, for each member of a sum of Gaussians.
 
-The components are the cell's state, two slow scales that tell this pack from its type, and the model's own
-slowly wandering error, so that a filter does not take a misfit of the model for knowledge:
+The components are the cell's state, two slow scales of this pack against its type, and the model's own slowly changing
+error, so that the filter does not take an error of the model for information:
 
     soc, polarisation_V, diffusion_V, core_C, sensor_C    state of an average cell
     log_resistance, log_capacity                          ln of this pack's scale against the battery file
@@ -48,7 +48,7 @@ DOUBT_LENGTH = 1.0  # of the charge
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """A belief is a sum of Gaussians at `time_s`; each member holds another capacity of the pack for likely.
+    """Belief is a sum of Gaussians at `time_s`; each member stands for another capacity of the pack.
 
     means [members, 9], covariances [members, 9, 9], weights [members] with sum 1; the ambient temperature [°C] is
     the one that the heat flows to.
@@ -77,7 +77,7 @@ class Belief:
 
 
 def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
-    """Return the covariance [9, 9] of a sum of Gaussians from its members' means, covariances and weights."""
+    """Return the covariance of a sum of Gaussians from its members' means, covariances and weights, whose sum is 1."""
     apart = means - weights @ means
     return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
 
@@ -136,7 +136,7 @@ def at_charge(table: Array, soc: Number) -> Number:
 
 
 def drift_variance(drift_sd_V: Number, drained: Number) -> Number:
-    """Return `ocv_doubt` [V²] where the value of the table `ocv_drift_sd_V` at this charge is known already."""
+    """Return `ocv_doubt` [V²] with the known value of the table `ocv_drift_sd_V` at this charge."""
     return drift_sd_V**2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
 
 
@@ -146,7 +146,7 @@ def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
 
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
-    """Return the `voltage` of a vector that is unpacked already."""
+    """Return the `voltage` of an unpacked vector."""
     if pack.sag_compensated:  # by a guess of the resistance, which what a reaction takes is not
         bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A

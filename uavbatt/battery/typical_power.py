@@ -1,4 +1,4 @@
-"""The power that a middling multirotor asks of a pack, by its size alone.
+"""The power that a typical multirotor draws from a pack, by its size alone.
 
 Hovers of 12 to 30 minutes draw 2 to 4 C.
 """
@@ -9,5 +9,5 @@ TYPICAL_C_RATE, TYPICAL_CELL_V = 2.5, 3.8
 
 
 def typical_power_W(cells: int, capacity_Ah: float) -> float:
-    """Return the power [W] that a middling multirotor draws from a pack of `cells` in series and `capacity_Ah` [Ah]."""
+    """Return the power [W] that a typical multirotor draws from a pack of `cells` in series and `capacity_Ah` [Ah]."""
     return TYPICAL_C_RATE * capacity_Ah * cells * TYPICAL_CELL_V

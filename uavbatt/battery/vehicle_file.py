@@ -1,7 +1,7 @@
-"""The vehicle file `NAME.vehicle.toml`: what one aircraft asks of its battery, learned from how it flew.
+"""The vehicle file `NAME.vehicle.toml`: the power that one aircraft draws, learned from its past flights.
 
-Small, numbers only: mean power by phase, and the power traces of past flights, each with its state of charge, so
-that a forecast can ask "what did this aircraft do from here on?".
+It holds the mean power by phase, and the power traces of past flights with their state of charge, so that a forecast
+can use how this aircraft went on from the same point.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
-    """They are the speeds of routes and of the way home by the vehicle's parameters; what those leave out is None.
+    """Speeds holds the speeds of routes and of the way home by the vehicle's parameters; None if not known.
 
     The names are those of `navigation.ReturnSettings`.
     """
@@ -73,7 +73,7 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     speeds: Speeds | None = None
 
     def __repr__(self) -> str:
-        """Return one line: past flights have thousands of points."""
+        """Return one line, without the thousands of points of past flights."""
         return f"<VehicleFile {self.name}: {len(self.traces)} flights, {self.phases.flight_W:.0f} W>"
 
 

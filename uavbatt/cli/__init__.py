@@ -11,18 +11,18 @@ from pathlib import Path
 
 
 def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
-    """The words of the command line; a log alone is to be replayed."""
+    """Return the words of the command line; a log without a command gets `replay` before it."""
     if words and words[0] not in commands and Path(words[0]).is_file():
         return ["replay", *words]
     return words
 
 
 def main() -> None:
-    """Run `uavbatt`; end with one line for what went wrong, and the exit code of its kind."""
-    # Small matrices: a second thread of the linear algebra only gets in the way of the first.
+    """Run `uavbatt`; an error ends it with one line and the exit code of that error."""
+    # Small matrices: a second thread of the linear algebra only slows the first one down.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a table on a stream of ASCII has escapes in its words
+    gc.set_threshold(50_000)  # rows have no reference cycles, and the search for some took a seventh of a replay
+    if isinstance(sys.stdout, io.TextIOWrapper):  # an ASCII stream gets escapes instead of other letters
         sys.stdout.reconfigure(errors="backslashreplace")
     from uavbatt.cli.app import app
     from uavbatt.errors import UavbattError, terminal_line
@@ -35,7 +35,7 @@ def main() -> None:
     except BrokenPipeError:  # `uavbatt ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    except OSError as error:  # a disk that is full, a file that nobody may read
+    except OSError as error:  # a full disk, a file without permission to read
         what = f"uavbatt: {error.filename or 'input or output'}: {error.strerror or error}"
         print(terminal_line(what), file=sys.stderr)
         sys.exit(1)

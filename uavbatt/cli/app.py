@@ -1,4 +1,4 @@
-"""The commands together; each loads what it needs when it runs."""
+"""All commands; each one imports what it needs when it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`uavbatt diagnose`: which effect the battery file lacks, how large it is, what else it could be."""
+"""`uavbatt diagnose`: which effect the battery file lacks, how large it is, and which other effects are possible."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ def diagnose(
     report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
     follow: Annotated[
-        bool, typer.Option("--follow", help="Logs in order of time: since when, and is it growing?")
+        bool, typer.Option("--follow", help="Since which flight does the effect show, and does it grow?")
     ] = False,
     packs: PacksOption = None,
     pack: PackOption = "",
 ) -> None:
-    """Trace what the battery file explains badly to the effect that it lacks; error before and after.
+    """Find the physical effect that the battery file lacks, with the error before and after it is added.
 
-    With --packs the pack is taken to be as worn as the flights before the first one have shown.
-    With --follow: flights of one pack, or a folder of them, in order of time; with --packs those of --pack alone.
-    Exit code 4 when the records cannot tell (the reason is in the JSON, too).
+    With --packs the wear that earlier flights have shown counts as known. With --follow the logs are flights of one
+    pack, or a folder of them, in order of time; with --packs only those of --pack.
+    Exit code 4 if the records do not show it (the reason is also in the JSON).
 
     Example: uavbatt diagnose flight.BIN --battery mypack.battery.toml --report why.html
     """
@@ -88,13 +88,14 @@ def diagnose(
     content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if follow:
-        from uavbatt.cli.diagnose_follow import Asked, follow_and_tell
+        from uavbatt.cli.diagnose_follow import FollowOptions, follow_and_tell
 
         if gate is not None or output is not None:
             raise UsageError(
                 "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
             )
-        follow_and_tell(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
+        options = FollowOptions(instance, tuple(without or ()), packs, pack)
+        follow_and_tell(sources, content, stated, options, json_file, report)
         return
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])
@@ -199,7 +200,7 @@ def _number(value: float) -> str:
 
 
 def _as_json(found: Diagnosis, closed: ClosedLoop, status: str, path: str | None) -> dict[str, Any]:
-    """The diagnosis for a program: NaN as null."""
+    """Return the diagnosis for JSON, in which NaN becomes null."""
     from dataclasses import asdict
 
     return {

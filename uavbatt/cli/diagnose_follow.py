@@ -1,4 +1,4 @@
-"""`uavbatt diagnose --follow`: flights of one pack in order of time; which effect began when, and is it growing?"""
+"""`uavbatt diagnose --follow`: which effect began in which flight of a pack, and does it grow?"""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from uavbatt.cli.diagnose_records import ProgressLine, distinct, flown_size, observed_of, one_size, reason_written
 from uavbatt.cli.options import remark, say
+from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.records import Flight
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.diagnosis.follow import Follow, Followed
+    from uavbatt.diagnosis.follow import Follow, FollowedEffect
+    from uavbatt.packs.ledger import Ledger
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """Asked says which flights to follow, and which effects to leave out."""
+class FollowOptions:
+    """FollowOptions says which flights to follow, and which effects to leave out."""
 
     instance: int | None
     without: tuple[str, ...]
@@ -34,11 +36,11 @@ def follow_and_tell(
     sources: Sequence[Path],
     content: BatteryFile,
     stated: PackOptions,
-    asked: Asked,
+    asked: FollowOptions,
     json_file: Path | None,
     report: Path | None,
 ) -> None:
-    """Follow the flights and write what was found. Raises NotEnoughData with the reason, which is in the JSON, too."""
+    """Follow the flights and write the result. Raises NotEnoughData with the reason, which is also in the JSON."""
     from uavbatt.files import write_json
 
     flights = _in_order(_read(sources, asked), asked)
@@ -57,8 +59,8 @@ def follow_and_tell(
         say(f"report: {report}", json_file, report)
 
 
-def _read(sources: Sequence[Path], asked: Asked) -> list[Flight]:
-    """The logs that are named, and those in the folders, each once."""
+def _read(sources: Sequence[Path], asked: FollowOptions) -> list[Flight]:
+    """Read the logs that are named, and those in folders, each once."""
     from uavbatt.fleet.logs import find_logs
     from uavbatt.telemetry import read_log
 
@@ -70,35 +72,33 @@ def _read(sources: Sequence[Path], asked: Asked) -> list[Flight]:
     return distinct([read_log(path, asked.instance) for path in dict.fromkeys(paths)])
 
 
-def _in_order(flights: list[Flight], asked: Asked) -> list[Flight]:
-    """The flights in order of time: the ledger's, else the logs' own clocks, else as they were named."""
-    if asked.packs is not None:
-        return _of_the_ledger(flights, asked.packs, asked.pack)
-    if asked.pack:
-        raise UsageError(f"--pack {asked.pack}: expected --packs FILE as well, the ledger that remembers it")
+def _in_order(flights: list[Flight], asked: FollowOptions) -> list[Flight]:
+    """Return the flights in order of time: by the ledger, else by the logs' clocks, else as they were named."""
+    if asked.packs is not None and not asked.pack:
+        raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
+    with open_memory(asked.packs, asked.pack, only_read=True) as memory:
+        if memory.ledger is not None:
+            return _of_the_ledger(flights, memory.ledger, asked.pack)
     starts = [f.identity.start_utc_s for f in flights]
     if all(math.isfinite(s) for s in starts):
         return sorted(flights, key=lambda f: f.identity.start_utc_s)
-    remark("not every log tells when it was flown: they are taken in the order in which they are named")
+    remark("some logs have no date: the logs are taken in the order in which they are named")
     return flights
 
 
-def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight]:
-    """The flights that the ledger knows of the pack, in its order."""
-    from uavbatt.packs.ledger import Ledger
+def _of_the_ledger(flights: list[Flight], ledger: Ledger, pack: str) -> list[Flight]:
+    """Return those flights that are in the ledger under this pack, in its order."""
     from uavbatt.packs.remembering import key_of
 
-    if not pack:
-        raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
-    with Ledger(packs, only_read=True) as ledger:
-        every = [after.flight for after in ledger.flights(pack)]
+    every = [after.flight for after in ledger.flights(pack)]
     if not every:
-        raise UsageError(f"--pack {pack}: expected a pack of {packs}, found none of that name")
+        raise unknown_pack(ledger, pack)
     keyed = [(key_of(f.samples), f) for f in flights]
     logs = [[f for key, f in keyed if was.is_of(key, f.identity.start_utc_s)] for was in every]
     its = [same[-1] for same in logs if same]
     if len(its) < len(flights):
-        remark(f"{len(flights) - len(its)} of {len(flights)} logs are not flights that the ledger knows of {pack}")
+        left_out = f"{len(flights) - len(its)} of {len(flights)} logs are left out"
+        remark(f"{left_out}: the ledger has no such flight of {pack}")
     return its
 
 
@@ -117,7 +117,7 @@ def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, wi
 
 
 def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
-    """The day of each followed flight, empty where its log does not tell."""
+    """Return the day of each followed flight; empty if its log has no date."""
     starts = {f.source: f.identity.start_utc_s for f in flights}
     return tuple(
         datetime.fromtimestamp(starts[name], UTC).date().isoformat() if math.isfinite(starts[name]) else ""
@@ -126,14 +126,14 @@ def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
 
 
 def _lines(found: Follow, dates: Sequence[str]) -> list[str]:
-    """The course of each effect for a person."""
+    """Return the course of each effect as lines of text."""
     from uavbatt.diagnosis.follow_words import course_words, size_words
     from uavbatt.diagnosis.words import MEANING
 
     said = {
-        "no_missing_effect": "nothing has begun: every flight is as this battery's model has it",
-        "effect_found": "something has begun",
-        "undeclared_effect": "something is missing, and what is named does not explain all of it",
+        "no_missing_effect": "no effect has begun: the model explains every flight as well as it can",
+        "effect_found": "an effect has begun",
+        "undeclared_effect": "something is missing, and the effects below do not explain all of it",
     }
     lines = [f"{found.verdict}: {said[found.verdict]} ({len(found.flights)} flights)"]
     for one in found.effects:
@@ -148,7 +148,7 @@ def _lines(found: Follow, dates: Sequence[str]) -> list[str]:
 
 
 def _as_json(found: Follow, dates: Sequence[str], status: str) -> dict[str, Any]:
-    """The keys of a diagnosis, with the course of each class."""
+    """Return the result for JSON: the keys of a diagnosis, with the course of each class."""
     flights = [{"file": name, "date": day or None} for name, day in zip(found.flights, dates, strict=True)]
     return {
         "verdict": found.verdict,
@@ -161,7 +161,7 @@ def _as_json(found: Follow, dates: Sequence[str], status: str) -> dict[str, Any]
     }
 
 
-def _class_json(one: Followed, flights: list[dict[str, str | None]]) -> dict[str, Any]:
+def _class_json(one: FollowedEffect, flights: list[dict[str, str | None]]) -> dict[str, Any]:
     from dataclasses import asdict
 
     since = {"flight": one.course.begins + 1, "earliest": one.earliest + 1, "latest": one.latest + 1}

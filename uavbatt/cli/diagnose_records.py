@@ -1,4 +1,4 @@
-"""The records of one pack that `uavbatt diagnose` reads: flights that are different, of one size, with a current."""
+"""The records that `uavbatt diagnose` reads: different flights of one size of pack, with a current."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
 @contextmanager
 def reason_written(json_file: Path | None) -> Iterator[None]:
-    """Write the reason to the JSON as well, where the block raises NotEnoughData; it is raised again."""
+    """Write the reason to the JSON if the block raises NotEnoughData, and raise it again."""
     from uavbatt.files import write_json
 
     try:
@@ -36,7 +36,7 @@ def reason_written(json_file: Path | None) -> Iterator[None]:
 
 
 def one_size(sizes: set[Size]) -> Size:
-    """Return the size that all records share. Raises NotEnoughData when they are of different packs."""
+    """Return the size that all records share. Raises NotEnoughData if they are of different packs."""
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
         raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
@@ -44,7 +44,7 @@ def one_size(sizes: set[Size]) -> Size:
 
 
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
-    """Return the rows of a flight as a record. Raises NotEnoughData when it has no current."""
+    """Return the rows of a flight as a record. Raises NotEnoughData if it has no current."""
     from uavbatt.fitting import observed
     from uavbatt.telemetry.plausibility import MAX_CELL_C
 
@@ -54,7 +54,7 @@ def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
 
 
 def distinct(flights: list[Flight]) -> list[Flight]:
-    """Return the flights. Raises UsageError when a log is named twice: it would count as two pieces of evidence."""
+    """Return the flights. Raises UsageError if a log is named twice: it would count as evidence twice."""
     seen: dict[object, str] = {}
     for flight in flights:
         key = (len(flight.samples), flight.samples[0], flight.samples[-1])
@@ -65,7 +65,7 @@ def distinct(flights: list[Flight]) -> list[Flight]:
 
 
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
-    """Return the size of a flight's pack. Raises UsageError when the rows of the flight deny it."""
+    """Return the size of a flight's pack. Raises UsageError if the rows of the flight contradict it."""
     from uavbatt.battery.sizing import resting
     from uavbatt.battery.statements import check_whole, size_from_rows
 
@@ -75,9 +75,9 @@ def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Siz
 
 
 def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:
-    """Return the size of a tested pack: a data set tells of its pack what a vehicle tells of its own.
+    """Return the size of a tested pack: the data set states its pack as a vehicle does.
 
-    Raises UsageError when there is none that fits.
+    Raises UsageError if no size fits.
     """
     from uavbatt.battery.sizing import checked, size_of_pack
 
@@ -90,12 +90,12 @@ def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> 
 
 
 def _rounded(size: PackSize) -> Size:
-    """Rounded so that records of one pack agree."""
+    """Return the size, rounded so that the records of one pack agree."""
     return size.cells, round(size.capacity_Ah, 4), round(size.cutoff_V, 3)
 
 
 class ProgressLine:
-    """ProgressLine shows the step at hand on stderr when that is a terminal."""
+    """ProgressLine shows the present step on stderr, if that is a terminal."""
 
     def __enter__(self) -> ProgressLine:
         return self

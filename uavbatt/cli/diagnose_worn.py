@@ -1,4 +1,4 @@
-"""`diagnose --packs`: how worn the pack was before the flights to be diagnosed is known, and is no missing effect."""
+"""`diagnose --packs`: the wear of the pack before the diagnosed flights is known, so that it is no missing effect."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 class BasePack(NamedTuple):
-    """A BasePack is what effects are looked for on: new as its type, or as worn as the flights before have shown.
+    """A BasePack is the pack from which missing effects are searched: new, or as worn as earlier flights have shown.
 
-    file : the battery file with that wear; wear_sd : sd of its fade and of its growth; words : about it, for a person.
+    file : the battery file with that wear; wear_sd : sd of its fade and of its resistance growth; words : for the user
     """
 
     pack: Pack
@@ -28,9 +28,9 @@ class BasePack(NamedTuple):
 
 
 def base_pack(packs: Path | None, stated: str, flights: list[Flight], file: BatteryFile, pack: Pack) -> BasePack:
-    """Return the pack by what the flights before the first of these taught, if a ledger is given and knows it.
+    """Return the pack with the wear before the first of these flights, if a ledger is given and has it.
 
-    Raises UsageError where the flights are of several packs, or of one without a name.
+    Raises UsageError if the flights are of several packs, or of one without a name.
     """
     from uavbatt.cli import pack_memory
     from uavbatt.packs.ledger import prior
@@ -68,7 +68,7 @@ def _worn(name: str, file: BatteryFile, pack: Pack, health: PackHealth) -> BaseP
 
 
 def _name(flights: list[Flight], stated: str) -> str:
-    """The pack that all flights are of."""
+    """Return the name of the pack of all flights."""
     from uavbatt.packs.remembering import name_of
 
     names = sorted({name_of(flight, stated) for flight in flights})

@@ -1,4 +1,4 @@
-"""`uavbatt fleet`: many flights, one row each, with the health of the packs and the accuracy over all of them."""
+"""`uavbatt fleet`: many flights, one row each, with the health of the packs and the accuracy of the forecasts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from uavbatt.fleet.fly import Job, PackMet
     from uavbatt.fleet.logs import LogFile
     from uavbatt.fleet.row import FlightRow
-    from uavbatt.fleet.run import Crew, Finished
+    from uavbatt.fleet.run import Crew, FinishedLog
 
 PAGE = "fleet.html"
 MOST_REASONS = 5
@@ -68,18 +68,18 @@ def fleet(
     packs: PacksOption = None,
     by: Annotated[
         str,
-        typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, as hardware."),
+        typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, e.g. hardware."),
     ] = "",
     aircraft: Annotated[
-        str, typer.Option("--aircraft", metavar="REGEX", help="What of a log's path names the aircraft.")
+        str, typer.Option("--aircraft", metavar="REGEX", help="Part of a log's path that names the aircraft.")
     ] = "",
 ) -> None:
-    """Fly a whole fleet's logs: one row a flight (Parquet, CSV) and a page about packs and forecasts.
+    """Replay all logs of a fleet: one row a flight (Parquet, CSV) and a page about packs and forecasts.
 
-    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown; with other
-    options all are flown again.
-    With --packs each flight of a pack with a serial is forecast with what the flights before it taught, and is
-    remembered itself.
+    A log that cannot be replayed becomes a row with the reason. A second run replays only new and changed logs, or all
+    of them if the options have changed.
+    With --packs each flight of a pack with a serial uses what earlier flights have shown of the pack, and is added to
+    the ledger.
 
     Example: uavbatt fleet logs/ -o fleet --by hardware --exclude '*bench*'
     """
@@ -121,8 +121,8 @@ def fleet(
         say(told)
 
 
-def _worked_off(finished: Iterable[Finished], journal: Path, what: str) -> int:
-    """Have the logs done under a bar; how many were done now."""
+def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> int:
+    """Work off the logs with a progress bar; return how many were done in this run."""
     count = 0
     with _progress(what) as show:
         for one in finished:
@@ -136,7 +136,7 @@ def _worked_off(finished: Iterable[Finished], journal: Path, what: str) -> int:
 def _met(
     packs: Path, crew: Callable[[], AbstractContextManager[Crew[Any]]], found: list[LogFile], job: Job, output: Path
 ) -> tuple[list[PackMet], str]:
-    """The first pass: the ledger filled with what all flights taught; the pack of each log before it, and a line."""
+    """Fill the ledger in a first pass; return the pack's health before each log, and a line for the user."""
     from uavbatt.fleet import ledger as fleet_ledger
     from uavbatt.fleet import run
     from uavbatt.fleet.logs import LESSONS
@@ -155,7 +155,7 @@ def _met(
 
 
 def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: int) -> None:
-    """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
+    """Write the page, and print the result in a few lines. Raises UavbattError if no log could be replayed."""
     from uavbatt.fleet.tables import CSV, PARQUET
     from uavbatt.report.fleet import counted, fleet_report
     from uavbatt.report.fleet_groups import gathered
@@ -191,8 +191,8 @@ def _pattern(text: str) -> str:
 
 
 @contextmanager
-def _progress(what: str) -> Iterator[Callable[[Finished], None]]:
-    """A bar on stderr when that is a terminal, nothing otherwise."""
+def _progress(what: str) -> Iterator[Callable[[FinishedLog], None]]:
+    """Show a progress bar on stderr, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda _: None
         return

@@ -39,18 +39,24 @@ def live(
     pack: Annotated[
         str | None, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")
     ] = None,
-    mission: Annotated[str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan): wins.")] = None,
+    mission: Annotated[
+        str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan); goes before the autopilot's.")
+    ] = None,
     record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Record into this folder.")] = None,
-    state: Annotated[str | None, typer.Option("--state", metavar="FILE", help="State that survives a crash.")] = None,
+    state: Annotated[
+        str | None, typer.Option("--state", metavar="FILE", help="Saved state, to go on after a crash.")
+    ] = None,
     request: Annotated[bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")] = None,
     request_mission: Annotated[
         bool | None, typer.Option("--request-mission", help="Ask the autopilot for its mission.")
     ] = None,
     system: Annotated[int | None, typer.Option("--system", min=1, max=255, help="Only this vehicle.")] = None,
-    component: Annotated[int | None, typer.Option("--component", min=1, max=255, help="Only this part of it.")] = None,
+    component: Annotated[
+        int | None, typer.Option("--component", min=1, max=255, help="Only the autopilot with this component id.")
+    ] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
-    """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more).
+    """Estimate in flight: read telemetry, send the time left (scripts/uavbatt.toml explains every setting).
 
     Example: uavbatt live udpin:127.0.0.1:14551 --http 127.0.0.1:8080
     """
@@ -78,7 +84,7 @@ def live(
 
 
 def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
-    """The configuration with what the command line says on top."""
+    """Return the configuration with the options of the command line in place of its own."""
     from msgspec.structs import replace
 
     sections = {
@@ -89,7 +95,7 @@ def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
 
 
 def _check_places(config: Config) -> None:
-    """UsageError when the folder of the recordings is a file, the state's file is none, or its folder not there."""
+    """Raise UsageError if the recording folder is a file, the state file is a folder, or its folder does not exist."""
     folder, state = config.record.folder, config.state.file
     if folder and Path(folder).exists() and not Path(folder).is_dir():
         raise UsageError(f"--record {folder}: expected a folder, it is a file")

@@ -1,5 +1,6 @@
-"""The process of `uavbatt live`, without the machinery of the command line and what filterpy has beside its filters:
-60 MB less in flight, and it is ready half a second sooner.
+"""The process of `uavbatt live`, without the command-line library and the parts of filterpy that no flight uses.
+
+That saves 60 MB in flight and half a second at the start.
 
 Run by `uavbatt live` as `python -m uavbatt.cli.live_process`, with the configuration as JSON in $UAVBATT_LIVE.
 """
@@ -59,11 +60,11 @@ def run(config: Config) -> None:
 
 
 def load_filterpy() -> None:
-    """Load filterpy's Kalman filters before the first row asks for them, with empty modules for what is NOT_FLOWN.
+    """Load filterpy's Kalman filters before the first row, with empty modules in place of those in NOT_FLOWN.
 
-    filterpy loads all its parts at once, and its densities bring scipy.stats: 43 MB and most of a second, for a
-    likelihood that no filter in flight is asked for. This process alone does so: a program that uses `Estimator` may
-    use the rest of filterpy as well. Of a filterpy that needs more of these parts everything is loaded.
+    filterpy imports all its parts at once, and one of them imports scipy.stats: 43 MB and most of a second, for a
+    likelihood that no flight uses. Only this process does so, because a program that uses `Estimator` may need all of
+    filterpy. If a version of filterpy needs these parts, everything is loaded.
     """
     stand_ins = {name: ModuleType(name) for name in NOT_FLOWN if name not in sys.modules}
     for name, module in stand_ins.items():
@@ -85,7 +86,7 @@ def _feeds(config: Config) -> str:
 
 
 def _recording(folder: Path) -> str:
-    """Say where the recording goes, or why it cannot yet; the folder is made when it is missing."""
+    """Return in words where the recording goes, or why it cannot; make the folder if it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -94,7 +95,7 @@ def _recording(folder: Path) -> str:
 
 
 def _links(config: Config) -> tuple[Link, Sequence[Link]]:
-    """The way to the autopilot and to the ground stations; behind the proxy both are its business."""
+    """Return the links to the autopilot and to the ground stations; with the proxy, one link to the proxy."""
     from uavbatt.mavlink.links import check_endpoint, open_autopilot, open_link
 
     autopilot = check_endpoint(config.link.endpoint)
@@ -122,7 +123,7 @@ def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":
-        raise UsageError("--load log: expected learned, recent or watts; in flight no log knows what is to come")
+        raise UsageError("--load log: expected learned, recent or watts; in flight there is no log of the load to come")
     flown = vehicle_file.read_vehicle(Path(pack.vehicle)) if pack.vehicle else None
     chosen = stated_load(pack.load, Flight("live", "live", ()), flown)
     options = PackOptions(
@@ -135,7 +136,7 @@ def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
 
 
 def main() -> int:
-    """Run the process of $UAVBATT_LIVE; print what went wrong in one line, and return the exit code of its kind."""
+    """Run the process with the configuration in $UAVBATT_LIVE; return its exit code, after one line for an error."""
     import msgspec
 
     from uavbatt.live.config import Config

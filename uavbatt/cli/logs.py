@@ -1,4 +1,4 @@
-"""The log that a command is asked to read: one battery of it, or all of them as one pack."""
+"""Reading the log of a command: one battery of it, or all of them as one pack."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SystemOption = Annotated[
 
 
 def asked_flight(log: Path, instance: int | None, join: str, system: int | None = None) -> Flight:
-    """Read the flight as the options ask for it. Raises UsageError when they contradict each other or the log."""
+    """Read the flight with these options. Raises UsageError if they contradict each other or the log."""
     from uavbatt.telemetry import read_log
     from uavbatt.telemetry.join import Wiring, read_joined
 
@@ -32,7 +32,7 @@ def asked_flight(log: Path, instance: int | None, join: str, system: int | None 
 
 
 def check_join(instance: int | None, join: str) -> None:
-    """Raise UsageError for a wiring that is none, or one beside a single battery."""
+    """Raise UsageError for an unknown wiring, or for a wiring together with a single battery."""
     from uavbatt.telemetry.join import Wiring
 
     if join and join not in tuple(Wiring):
@@ -42,9 +42,9 @@ def check_join(instance: int | None, join: str) -> None:
 
 
 def distinct_names(logs: Sequence[Path]) -> list[str]:
-    """Return a name for each log, with as many of its folders before it as it takes to tell them apart.
+    """Return a different name for each log, with the names of its folders in front if they are needed for that.
 
-    Raises UsageError when a log is named twice.
+    Raises UsageError if a log is named twice.
     """
     twice = next((log for k, log in enumerate(logs) if log.resolve() in {other.resolve() for other in logs[:k]}), None)
     if twice is not None:

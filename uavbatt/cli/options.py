@@ -1,4 +1,4 @@
-"""Options that several commands share: the battery and the pack, spelled the same everywhere."""
+"""Options that several commands share, so that they are spelled the same everywhere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STANDARD_OUTPUT = Path("-")
 
 
 def check_ending(path: Path | None, option: str, ending: str) -> None:
-    """Raise UsageError for an output whose name promises another kind of file than is written."""
+    """Raise UsageError for an output whose name has another ending than the file that is written."""
     if path is not None and path != STANDARD_OUTPUT and path.suffix.lower() != ending:
         raise UsageError(f"{option} {path}: expected a name that ends in {ending}")
 
@@ -49,7 +49,7 @@ VehicleOption = Annotated[Path | None, typer.Option("--vehicle", help="Vehicle f
 PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
 PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
 WindOption = Annotated[
-    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s] and where it comes from, as 6@270.")
+    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s], from direction [deg]: 6@270.")
 ]
 DEFAULT_BATTERY = "lipo-generic"
 FASTEST_WIND_MS = 100.0
@@ -81,7 +81,7 @@ def stated_wind(text: str) -> Wind:
 def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
-    """Return the pack as the options state it. Raises UsageError when it, or the reserve, cannot be."""
+    """Return the pack that the options state. Raises UsageError if the pack or the reserve is impossible."""
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 
@@ -104,7 +104,7 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), mak
             continue
         if target.is_dir():
             raise UsageError(f"{target}: expected a file name to write, it is a directory")
-        if target.exists() and not target.is_file():  # it would be replaced by a file, as /dev/null once was
+        if target.exists() and not target.is_file():  # it would be replaced by a file, e.g. /dev/null
             raise UsageError(f"{target}: expected a file name to write, it is a device or pipe (stdout is `-`)")
         if target.parent == makes and not makes.exists():
             continue
@@ -115,13 +115,13 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), mak
 
 
 def check_named(*targets: Path | None) -> None:
-    """Raise UsageError for `-`: a battery or vehicle file goes by its name."""
+    """Raise UsageError for `-`, as a battery or vehicle file needs a name."""
     if STANDARD_OUTPUT in targets:
         raise UsageError("-: expected a file name to write")
 
 
 def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) -> None:
-    """Raise UsageError when two outputs are one file, or an output is a file that is read."""
+    """Raise UsageError if two outputs are one file, or an output is a file that is read."""
     read = {os.path.realpath(path) for path in reads if path is not None}
     taken: set[str] = set()
     for target in targets:
@@ -136,9 +136,9 @@ def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) ->
 
 
 def say(line: str, *outputs: Path | None) -> None:
-    """Print a line for a person on stdout, but on stderr when an output goes to stdout, which then is nothing but data.
+    """Print a line for the user on stdout, or on stderr if an output with data goes to stdout.
 
-    A reader who leaves (`uavbatt ... | head`) misses the other lines, and the files are written all the same.
+    If nobody reads stdout any more (`uavbatt ... | head`), the other lines are lost, but all files are written.
     """
     is_data = STANDARD_OUTPUT in outputs
     try:
@@ -148,12 +148,12 @@ def say(line: str, *outputs: Path | None) -> None:
 
 
 def remark(line: str) -> None:
-    """Print a line beside the result, on stderr."""
+    """Print a line that is not a result, on stderr."""
     print(terminal_line(line), file=sys.stderr)
 
 
 def read_battery(name: str, allow_uncertified: bool) -> BatteryFile:
-    """Read the battery file that the options name; a caveat about an edited one is printed on stderr."""
+    """Read the battery file that the options name; for an edited one, print a caveat on stderr."""
     from uavbatt.battery import battery_file
 
     content = battery_file.read_battery(name, allow_uncertified=allow_uncertified)

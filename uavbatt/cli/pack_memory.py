@@ -1,4 +1,4 @@
-"""`--packs` and `--pack`: the pack ledger beside a command that flies logs."""
+"""`--packs` and `--pack`: the pack ledger of a command that replays logs."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
-    """Learned tells what became of a flight in the ledger: lines for a person, fields for a program."""
+class LearnedFlight:
+    """LearnedFlight says what a flight added to the ledger: lines for the user, fields for JSON."""
 
     lines: tuple[str, ...] = ()
     fields: dict[str, Any] = field(default_factory=dict)
@@ -29,21 +29,21 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class PackMemory:
-    """PackMemory holds an open ledger, or none at all, and the name that the caller gives the pack."""
+    """PackMemory holds an open ledger, or None, and the pack name that the user stated."""
 
     ledger: Ledger | None
     stated: str = ""
 
-    def recalled(self, flight: Flight, battery: BatteryFile) -> PackHealth | None:
-        """Return what is known of the flight's pack by the flights before it; None where nothing is."""
-        from uavbatt.packs.remembering import name_of, recalled
+    def health_before(self, flight: Flight, battery: BatteryFile) -> PackHealth | None:
+        """Return the health of the flight's pack by its earlier flights; None if there are none."""
+        from uavbatt.packs.remembering import health_before, name_of
 
         if self.ledger is None:
             return None
-        return recalled(self.ledger, name_of(flight, self.stated), flight, battery)
+        return health_before(self.ledger, name_of(flight, self.stated), flight, battery)
 
     def recalled_now(self, battery: BatteryFile) -> PackHealth | None:
-        """Return what is known today of the pack that --pack names. Raises UsageError for a pack it does not know."""
+        """Return today's health of the pack in --pack. Raises UsageError for a pack that is not in the ledger."""
         from uavbatt.packs.ledger import prior
 
         if self.ledger is None:
@@ -52,27 +52,30 @@ class PackMemory:
             raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
         last = self.ledger.last(self.stated)
         if last is None:
-            raise UsageError(f"--pack {self.stated}: expected a pack of {self.ledger.path}, found none of that name")
+            raise unknown_pack(self.ledger, self.stated)
         return prior(last, time.time(), battery.certificate.content_sha256)
 
-    def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions, health: PackHealth | None) -> Learned:
-        """Save what the flight taught of its pack, and return the words about it; `health` was known before it."""
+    def learn(
+        self, flight: Flight, battery: BatteryFile, options: PackOptions, health: PackHealth | None
+    ) -> LearnedFlight:
+        """Save the record of a flight, and say what it adds; `health` is the pack's health before the flight."""
         from uavbatt.packs.findings import ANOTHER
         from uavbatt.packs.ledger import AnotherSize
-        from uavbatt.packs.remembering import name_of, taught
+        from uavbatt.packs.remembering import flight_for_ledger, name_of
 
         if self.ledger is None:
-            return Learned()
+            return LearnedFlight()
         name = name_of(flight, self.stated)
         if not name:
-            return Learned(("  pack       not remembered: no serial in the log; name it with --pack",), {"pack": None})
-        found = taught(battery, options, flight, health)
+            words = "  pack       not remembered: no serial in the log; name it with --pack"
+            return LearnedFlight((words,), {"pack": None})
+        found = flight_for_ledger(battery, options, flight, health)
         if found.record is None:
-            return Learned((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
+            return LearnedFlight((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:
             after = self.ledger.save(name, found.record)
         except AnotherSize as error:  # of another pack: the forecast was made without what is remembered
-            return Learned(
+            return LearnedFlight(
                 (f"  pack       {name}: not remembered: {error}",), {"pack": name, "pack_findings": [ANOTHER]}
             )
         pack = self.ledger.pack(name)
@@ -85,7 +88,12 @@ class PackMemory:
         lines = [f"{words}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights}"]
         lines += [f"  pack       {name}: {finding.words}" for finding in after.findings]
         kinds = [finding.kind for finding in after.findings]
-        return Learned(tuple(lines), {"pack": name, "pack_flights": seen.flights, "pack_findings": kinds})
+        return LearnedFlight(tuple(lines), {"pack": name, "pack_flights": seen.flights, "pack_findings": kinds})
+
+
+def unknown_pack(ledger: Ledger, name: str) -> UsageError:
+    """Return the error for a name that the ledger does not have."""
+    return UsageError(f"--pack {name}: expected a pack of {ledger.path}, found none of that name")
 
 
 @contextmanager

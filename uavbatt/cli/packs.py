@@ -1,4 +1,4 @@
-"""`uavbatt packs`: what is remembered of each pack, what it means, and when to retire it."""
+"""`uavbatt packs`: the health of each pack in the ledger, its trend, and when to retire it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from uavbatt.errors import UavbattError, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.packs.ledger import Ledger
-    from uavbatt.packs.records import PackRow, Remembered
+    from uavbatt.packs.records import LedgerFlight, PackRow
 
 
 def packs(
@@ -49,7 +49,7 @@ def packs(
 
 
 def _change(path: Path, forget: str, take_in: Path | None) -> None:
-    """Forget a pack, take one in. A file that is not there is refused before writing makes one."""
+    """Delete a pack, import a pack; a ledger that does not exist is refused before one is made."""
     from uavbatt.packs import exchange
     from uavbatt.packs.ledger import Ledger
 
@@ -83,8 +83,8 @@ def _chosen(ledger: Ledger, name: str) -> list[PackRow]:
     return [found]
 
 
-def _lines(found: list[PackRow], flights: list[Remembered]) -> list[str]:
-    """The packs for a person, and the flights of the one that was asked for."""
+def _lines(found: list[PackRow], flights: list[LedgerFlight]) -> list[str]:
+    """Return the packs as lines of text, and the flights of the pack that was asked for."""
     from uavbatt.packs.words import flight_line, pack_lines
 
     if not found:
@@ -94,7 +94,7 @@ def _lines(found: list[PackRow], flights: list[Remembered]) -> list[str]:
     return [line for pack in found for line in pack_lines(pack)] + [flight_line(after) for after in flights]
 
 
-def _write_summary(path: Path, found: list[PackRow], flights: list[Remembered]) -> None:
+def _write_summary(path: Path, found: list[PackRow], flights: list[LedgerFlight]) -> None:
     from uavbatt.files import write_json
 
     packs: list[dict[str, Any]] = [_plain(pack) for pack in found]

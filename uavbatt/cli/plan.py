@@ -29,8 +29,9 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.cli.plan_mission import clock, plan_mission
+from uavbatt.cli.plan_mission import plan_mission
 from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.output import clock
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 def plan(
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[float | None, typer.Option("--power-w", help="Mean power of the flight [W].")] = None,
-    like: Annotated[Path | None, typer.Option("--like", help="A past log: fly as it did.")] = None,
+    like: Annotated[Path | None, typer.Option("--like", help="A past log, whose load is flown again.")] = None,
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
@@ -107,7 +108,7 @@ def plan(
 def _load(
     power_W: float, flight: Flight | None, vehicle: Path | None, battery: BatteryFile, options: PackOptions
 ) -> tuple[Load, str]:
-    """The load to come and its name."""
+    """Return the load to come and its name."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
@@ -130,7 +131,7 @@ def _load(
 
 
 def _lines(plan: Plan) -> list[str]:
-    """The plan for a person."""
+    """Return the plan as lines of text."""
     resolved, here = plan.resolved, plan.here
     lines = [
         f"{resolved.battery} ({resolved.status}): {resolved.words}",
@@ -146,7 +147,7 @@ def _lines(plan: Plan) -> list[str]:
 
 
 def _headline(here: Endurance) -> str:
-    """The endurance at the planned temperature, or why it is not known."""
+    """Return the endurance at the planned temperature in words, or why it is not known."""
     if not math.isfinite(here.median_s):
         return here.remark or "not known"
     said = f"{clock(here.median_s)} [{clock(here.lo_s)}, {clock(here.hi_s)}]"
@@ -155,7 +156,7 @@ def _headline(here: Endurance) -> str:
 
 
 def _write_summary(path: Path, plan: Plan, reserve_soc: float, content_sha256: str) -> None:
-    """The plan for a program: where the numbers came from, the planned temperature, the table."""
+    """Write the plan as JSON: sources of the numbers, the planned temperature, the table."""
     from uavbatt.files import write_json
 
     content = {

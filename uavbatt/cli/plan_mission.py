@@ -1,4 +1,4 @@
-"""`uavbatt plan --mission`: whether a mission fits, for a person, a program and as a page."""
+"""`uavbatt plan --mission`: does a mission fit? As text, as JSON and as a page."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavbatt.cli.options import say, stated_wind
 from uavbatt.errors import UsageError
+from uavbatt.output import clock
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -30,10 +31,10 @@ def plan_mission(
     outputs: tuple[Path | None, Path | None],
     remembered: PackHealth | None = None,
 ) -> None:
-    """Say whether the mission fits.
+    """Print whether the mission fits, and write the outputs.
 
-    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON; remembered : the health of
-    a pack that was met before
+    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON; remembered : health of the
+    pack from the ledger
     """
     import msgspec
 
@@ -67,14 +68,6 @@ def plan_mission(
         from uavbatt.files import write_json
 
         write_json(summary, _summary(found, mission.name, conditions[2], content.certificate.content_sha256))
-
-
-def clock(seconds: float) -> str:
-    """Return a time [s] in minutes and seconds, `12:05`; `unknown` if it is not finite."""
-    if not math.isfinite(seconds):
-        return "unknown"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
 
 
 def _lines(plan: MissionPlan, name: str) -> list[str]:
@@ -127,7 +120,7 @@ def _row(fit: RouteFit) -> str:
 
 
 def _fit(fit: RouteFit) -> dict[str, Any]:
-    """One temperature for a program."""
+    """Return the result at one temperature for JSON."""
     route = fit.route
     return {
         "ambient_C": fit.ambient_C,
@@ -152,7 +145,7 @@ def _charges(leg: LegEnd) -> dict[str, float]:
 
 
 def _summary(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
-    """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
+    """Return the plan for JSON: sources of the numbers, the planned temperature, each leg, the table."""
     legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
     return {
         "mission": name,

@@ -1,4 +1,4 @@
-"""A progress bar on stderr for work that reports its shares; nothing where nobody watches."""
+"""A progress bar on stderr, if that is a terminal."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 
 from uavbatt.errors import terminal_line
 
-MEMORY_S = 600.0  # over which the speed is judged: single steps may take a minute on a small computer
+MEMORY_S = 600.0  # the speed is a mean over this time: one step may take a minute on a small computer
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar with the time left while the block runs, when stderr is a terminal.
+    """Show a bar with the time left while the block runs, if stderr is a terminal.
 
-    The block calls what it is given with the share of the work just done; the shares add up to 1.
+    The block gets a function, and calls it with each share of the work that is done; the shares add up to 1.
     """
     if not sys.stderr.isatty():
         yield lambda _: None

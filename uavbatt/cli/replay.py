@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -38,10 +38,46 @@ from uavbatt.errors import UavbattError, UsageError, terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.cli.pack_memory import PackMemory
+    from uavbatt.estimator import Estimator
+    from uavbatt.log_replay.outcome import Outcome
+    from uavbatt.log_replay.run import ReplayedRow
+    from uavbatt.records import Flight
     from uavbatt.telemetry.formats.mission_file import PlannedFlight
+
+ENDINGS = (".jsonl", ".csv", ".html", ".png", ".svg")
+
+
+class Outputs(NamedTuple):
+    """Outputs holds the output files of a log, or the folders of several logs; None if not wanted."""
+
+    jsonl: Path | None
+    csv: Path | None
+    report: Path | None
+    png: Path | None
+    svg: Path | None
+
+    def in_folders(self, name: str) -> Outputs:
+        """Return the files of one log, by its name, in these folders."""
+        return Outputs(*(path and path / (name + ending) for path, ending in zip(self, ENDINGS, strict=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """ReplayOptions holds the settings with which every log of a call is replayed."""
+
+    battery: BatteryFile
+    pack: PackOptions
+    reserve_soc: float
+    load: str
+    vehicle: VehicleFile | None
+    mission: PlannedFlight | None
+    instance: int | None
+    join: str
+    system: int | None
+    is_plain: bool
 
 
 def replay(
@@ -60,7 +96,7 @@ def replay(
     packs: PacksOption = None,
     pack: PackOption = "",
     mission: Annotated[
-        Path | None, typer.Option("--mission", help="What it was to fly: a .waypoints or .plan file.")
+        Path | None, typer.Option("--mission", help="The planned mission: a .waypoints or .plan file.")
     ] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
@@ -68,13 +104,13 @@ def replay(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     png: Annotated[Path | None, typer.Option("--png", help="The chart of the time left as PNG.")] = None,
     svg: Annotated[Path | None, typer.Option("--svg", help="The same as SVG.")] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="Say only what a pilot asks, in sentences.")] = False,
+    plain: Annotated[bool, typer.Option("--plain", help="Only a few sentences for the pilot.")] = False,
 ) -> None:
-    """Replay flight logs: state of charge and remaining time at every row, and how good it was.
+    """Replay flight logs: state of charge and remaining time at every row, and how accurate they were.
 
-    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list;
-    a log that cannot be replayed is told, the others are replayed, and the exit code is 1.
-    With --packs each flight begins with what is remembered of its pack, and is remembered itself.
+    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list.
+    If a log cannot be replayed, the reason is printed, the others are replayed, and the exit code is 1.
+    With --packs each flight begins with the health of its pack in the ledger, and is added to the ledger.
 
     Example: uavbatt replay flight.BIN --report flight.html
     """
@@ -82,33 +118,35 @@ def replay(
     from uavbatt.telemetry.formats.mission_file import read_mission
 
     several = len(logs) > 1
-    names = distinct_names(logs)
-    targets = [
-        [_target(path, name, ending, several) for path, ending in _endings(jsonl, csv, report, png, svg)]
-        for name in names
-    ]
-    outputs = [summary, *(target for of_one in targets for target in of_one)]
+    named = Outputs(jsonl, csv, report, png, svg)
+    outputs = [named.in_folders(name) for name in distinct_names(logs)] if several else [named]
+    targets = [summary, *(path for of_one in outputs for path in of_one)]
     check_named(png, svg)
     if several:
-        _check_folders(jsonl, csv, report, png, svg)
-        check_apart(outputs, reads=[*logs, vehicle, mission])
-        for folder in (jsonl, csv, report, png, svg):
-            if folder is not None:
-                folder.mkdir(parents=True, exist_ok=True)
-    check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
+        _check_folders(named)
+        check_apart(targets, reads=[*logs, vehicle, mission])
+        for folder in filter(None, named):
+            folder.mkdir(parents=True, exist_ok=True)
+    check_writable(*targets, reads=[*logs, vehicle, mission, packs])
     for path, option, ending in ((report, "--report", ".html"), (png, "--png", ".png"), (svg, "--svg", ".svg")):
-        check_ending(path if not several else None, option, ending)
-    content = read_battery(battery, allow_uncertified)
-    planned = read_mission(mission) if mission is not None else None
-    flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None
-    options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
+        check_ending(None if several else path, option, ending)
+    asked = ReplayOptions(
+        battery=read_battery(battery, allow_uncertified),
+        pack=stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc),
+        reserve_soc=reserve_soc,
+        load=load,
+        vehicle=vehicle_file.read_vehicle(vehicle) if vehicle is not None else None,
+        mission=read_mission(mission) if mission is not None else None,
+        instance=instance,
+        join=join,
+        system=system,
+        is_plain=plain,
+    )
     results, failed = list[dict[str, Any]](), False
     with pack_memory.open_memory(packs, pack) as memory:
-        for log, of_one in zip(logs, targets, strict=True):
-            chosen, to_come, outputs_of_one = (instance, join, system), (load, flown), (*of_one, summary)
-            stated = (options, reserve_soc)
+        for log, of_one in zip(logs, outputs, strict=True):
             try:
-                results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned, plain))
+                results.append(_one(log, asked, memory, of_one, summary))
             except UavbattError as error:
                 if not several:
                     raise
@@ -123,63 +161,67 @@ def replay(
         raise typer.Exit(1)
 
 
-def _one(
-    log: Path,
-    content: BatteryFile,
-    stated: tuple[PackOptions, float],
-    load: tuple[str, VehicleFile | None],
-    chosen: tuple[int | None, str, int | None],
-    memory: PackMemory,
-    outputs: Sequence[Path | None],
-    planned: PlannedFlight | None,
-    is_plain: bool,
-) -> dict[str, Any]:
-    """One log: its lines, table and page written, its summary told and given back."""
-    from uavbatt import output
+def _one(log: Path, asked: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None) -> dict[str, Any]:
+    """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.outcome import outcome
-    from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
+    from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
 
-    jsonl, csv, report, *charts = outputs[:5]
-    flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
-    if planned is not None:
-        flight = with_mission(flight, planned)
-    to_come = stated_load(load[0], flight, load[1], content)
-    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(flight))
-    health = memory.recalled(flight, content)
-    estimator = estimator_for(flight, content, options, settings, health)
+    flight = asked_flight(log, asked.instance, asked.join, asked.system)
+    if asked.mission is not None:
+        flight = with_mission(flight, asked.mission)
+    to_come = stated_load(asked.load, flight, asked.vehicle, asked.battery)
+    settings = ForecastSettings(to_come, asked.reserve_soc, recorded_period_s(flight))
+    health = memory.health_before(flight, asked.battery)
+    estimator = estimator_for(flight, asked.battery, asked.pack, settings, health)
+    with ExitStack() as stack:  # no file appears if a later step fails
+        run = _written(flight, estimator, log.name, outputs, stack)
+        size = size_of_replayed(estimator, flight)
+        found = outcome(run, size.cutoff_V, asked.reserve_soc)
+        _draw(outputs, flight, run, size, found, asked.battery)
+    learned = memory.learn(flight, asked.battery, asked.pack, health)
+    lines = flight_text.plain_lines if asked.is_plain else flight_text.lines
+    for line in [*lines(flight, size, found, run), *learned.lines]:
+        say(line, *outputs, summary)
+    return {**flight_text.summary(flight, size, found, run, asked.battery), **learned.fields}
+
+
+def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack) -> list[ReplayedRow]:
+    """Return the rows of the replay; write each line to the table files, which are complete when `stack` closes."""
+    from uavbatt import output
+    from uavbatt.log_replay.run import steps
+
+    sinks = [stack.enter_context(output.json_lines(outputs.jsonl))] if outputs.jsonl is not None else []
+    sinks += [stack.enter_context(output.csv_table(outputs.csv, flight.has_way))] if outputs.csv is not None else []
     run = []
-    with ExitStack() as stack:
-        out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
-        out += [stack.enter_context(output.csv_table(csv, flight.has_way))] if csv is not None else []
-        for step in _with_progress(steps(flight, estimator), len(flight.samples), log.name):
-            run.append(step)
-            for sink in out:
-                sink.write(output.line(step.estimate, step.remaining))
-        resolved = size_of_replayed(estimator, flight)
-        found = outcome(run, resolved.cutoff_V, reserve_soc)
-        if any(charts):
-            from uavbatt.report.flight import save_charts
+    for step in _with_progress(steps(flight, estimator), len(flight.samples), name):
+        run.append(step)
+        for sink in sinks:
+            sink.write(output.line(step.estimate, step.remaining))
+    return run
 
-            wanted = [path for path in charts if path is not None]
-            if not save_charts(wanted, flight, run, resolved, found):
-                remark(f"uavbatt: {', '.join(map(str, wanted))}: not written, the time left was refused throughout")
-        if report is not None:
-            from uavbatt.report.flight import flight_report
-            from uavbatt.report.page import write_page
 
-            write_page(report, flight_report(flight, run, resolved, found, content))
-    learned = memory.learn(flight, content, options, health)
-    lines = flight_text.plain_lines if is_plain else flight_text.lines
-    for line in [*lines(flight, resolved, found, run), *learned.lines]:
-        say(line, *outputs)
-    return {**flight_text.summary(flight, resolved, found, run, content), **learned.fields}
+def _draw(
+    outputs: Outputs, flight: Flight, run: list[ReplayedRow], size: PackSize, found: Outcome, battery: BatteryFile
+) -> None:
+    """Write the charts and the page that are wanted."""
+    charts = [path for path in (outputs.png, outputs.svg) if path is not None]
+    if charts:
+        from uavbatt.report.flight import save_charts
+
+        if not save_charts(charts, flight, run, size, found):
+            remark(f"uavbatt: {', '.join(map(str, charts))}: not written, the time left was refused throughout")
+    if outputs.report is not None:
+        from uavbatt.report.flight import flight_report
+        from uavbatt.report.page import write_page
+
+        write_page(outputs.report, flight_report(flight, run, size, found, battery))
 
 
 def _with_progress(rows: Any, total: int, name: str) -> Any:
-    """A progress bar on stderr when it is a terminal and the log is long enough to wait for."""
+    """Return the rows with a progress bar on stderr, if that is a terminal and the log is long."""
     if not sys.stderr.isatty() or total < 2000:
         return rows
     from rich.console import Console
@@ -188,18 +230,7 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _endings(*paths: Path | None) -> list[tuple[Path | None, str]]:
-    """Each output, in the order of the options, with the ending of its file."""
-    return list(zip(paths, (".jsonl", ".csv", ".html", ".png", ".svg"), strict=True))
-
-
-def _target(path: Path | None, name: str, ending: str, several: bool) -> Path | None:
-    return path / (name + ending) if path is not None and several else path
-
-
-def _check_folders(*folders: Path | None) -> None:
-    for folder in folders:
-        if folder is None:
-            continue
+def _check_folders(folders: Outputs) -> None:
+    for folder in filter(None, folders):
         if folder == STANDARD_OUTPUT or (folder.exists() and not folder.is_dir()):
             raise UsageError(f"{folder}: expected a folder, several logs write one file each")

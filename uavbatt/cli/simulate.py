@@ -1,4 +1,4 @@
-"""`uavbatt simulate`: a flight that never flew, as a log of any kind."""
+"""`uavbatt simulate`: a simulated flight, as a log."""
 
 from __future__ import annotations
 
@@ -44,14 +44,16 @@ def simulate(
         float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
     ] = 1.0,
     effect: Annotated[list[str] | None, typer.Option("--effect", help="NAME=VALUE, may be repeated.")] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed, the same log.")] = 1,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Seed of the noise: the same seed gives the same log.")
+    ] = 1,
     rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0, help="Rows of telemetry a second.")] = 2.0,
     cells: CellsOption = 4,
     capacity_ah: CapacityOption = 5.0,
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
 ) -> None:
-    """Simulate a flight of a battery file's own model until the pack is empty or a mission is flown, as a log.
+    """Simulate a flight with the model of a battery file, until the pack is empty or the mission is over; write a log.
 
     Example: uavbatt simulate -o flight.tlog --power-w 250 --effect weak_cell=0.1
     """
@@ -82,7 +84,7 @@ def simulate(
 
 
 def _route(mission: Path, wind: str | None) -> RouteFlight:
-    """The flight of a mission file; UsageError for one that does not say where it begins, or has no end."""
+    """Return the flight of a mission file. Raises UsageError for one without a home position, or without an end."""
     from uavbatt.navigation import Wind
     from uavbatt.simulate.flight import IDLE_S
     from uavbatt.simulate.route import route_flight
@@ -95,7 +97,7 @@ def _route(mission: Path, wind: str | None) -> RouteFlight:
 
 
 def _along(route: RouteFlight, pack: Pack, flight: SimulatedFlight) -> list[Sample]:
-    """The rows of a flight along a route."""
+    """Return the rows of a flight along a route."""
     from uavbatt.simulate.flight import simulate_flight
     from uavbatt.simulate.route import watts_of
 

@@ -1,4 +1,4 @@
-"""`uavbatt validate`: judge discharge tests, build the corridor, gate the model, ship it."""
+"""`uavbatt validate`: judge discharge tests, build the corridor, gate the battery model, ship it."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def validate(
 
 
 def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float | None) -> Limits:
-    """The declared limits as the gate takes them, for three cells, of what was stated of this pack."""
+    """Return the limits of the gate, which are for three cells, from the limits stated for this pack."""
     from uavbatt.validation.gating.gate import Limits
 
     usual, share = Limits(), 3.0 / cells
@@ -109,7 +109,7 @@ def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float
 
 
 def _lines(result: Validation) -> list[str]:
-    """The verdict first, then what it rests on, then what the tests say about themselves."""
+    """Return the verdict, then its claims, then the findings about the tests, as lines of text."""
     from uavbatt.report.validation_tables import plain_reason
 
     tests = result.dataset
@@ -141,7 +141,7 @@ def _lines(result: Validation) -> list[str]:
 
 
 def _printed(tests: DataSet) -> PaperReplay | None:
-    """The study's own method, where it can be applied to these tests."""
+    """Return the result of the study's own method; None if it does not apply to these tests."""
     from uavbatt.errors import UavbattError
     from uavbatt.validation.study import paper
 
@@ -163,7 +163,7 @@ def _paper(tests: DataSet, json_file: Path | None) -> None:
 
 
 def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:
-    """Return where the study's equations meet its printed tables, then each column."""
+    """Return the agreement of the study's equations with its printed tables, then each column, as lines of text."""
     lines = [f"{name}: the study's equations (1)-(17) as printed", "agreement with the printed tables"]
     for found in replayed.agreements:
         lines.append(f"  {found.table}: {found.agree} of {found.total} ({found.counted})")
@@ -182,7 +182,7 @@ def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:
 
 
 def _conclusion(replayed: PaperReplay) -> list[str]:
-    """Say what the study's own rules make of the tests: the precision, the pooling, the corridor."""
+    """Return the conclusion by the study's own rules: precision, pooling and corridor, as lines of text."""
     volts = [column for column in replayed.columns if column.quantity == "voltage_V"]
     drifting = [column for column in volts if column.drifts]
     worst = max(volts, key=lambda column: column.r)
@@ -204,4 +204,4 @@ def _conclusion(replayed: PaperReplay) -> list[str]:
         )
     if not replayed.pooled:
         lines.append("  one sample: nothing to pool, no corridor by the study's rules")
-    return [*lines, "  it judges the tests and gates no model: that is `--method iso`"]
+    return [*lines, "  this method judges the tests only; `--method iso` also gates the model"]

@@ -1,8 +1,8 @@
-"""Candidates side by side: their columns of unknowns, and the whitened residuals that values of these leave.
+"""Candidates side by side: the columns of their unknowns, and the whitened residuals for given values of these.
 
-Per candidate the unknowns are u, the errors of the battery file and its quantities, all shared by the records, and per
-record three nuisances v in units of their prior sd: starting charge, starting temperature, ambient. Errors of the
-file's tables, the knots, come last of all columns: what they do is linear.
+The unknowns of a candidate are u, shared by all records (the errors of the battery file and the quantities of the
+candidate), and three nuisances v for each record, in units of their prior sd: starting charge, starting temperature,
+ambient temperature. The last columns are the errors of the file's tables at their knots, whose influence is linear.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from uavbatt.diagnosis.simulation import OwnValues, Simulated, simulate
 NUDGE = 2e-3
 NUISANCES = 3
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
-FREE_START_SD = 0.02  # of a record around the shift that all share
+FREE_START_SD = 0.02  # sd of a record's start around the shift that all share
 
 
 class Batch:
-    """Batch turns values of the candidates' unknowns into whitened residuals; it alone knows the layout of columns."""
+    """Batch turns values of the unknowns into whitened residuals; only this class knows the layout of the columns."""
 
     def __init__(self, problem: Problem, candidates: list[Candidate], *, file_errors: bool = False) -> None:
-        """Lay the columns out; with `file_errors` every error of the file is estimated, each with its prior."""
+        """Lay out the columns; with `file_errors` every error of the file is estimated, each with its prior."""
         self.problem, self.candidates = problem, candidates
         evidence = problem.evidence
         self.records = len(evidence.names)
@@ -45,7 +45,7 @@ class Batch:
                 self.low[i, k], self.high[i, k] = f.bounds_u()
                 self.moves[i, k] = f.estimated or file_errors
                 shared[i, k] = f.nuisance and self.moves[i, k]
-        self.stiffness = np.where(shared, 1.0 / self.records, 0.0)  # one share a record: an error has one prior
+        self.stiffness = np.where(shared, 1.0 / self.records, 0.0)  # divided among the records: an error has one prior
         self.start_sd = np.array(
             [[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd] for c in candidates]
         )
@@ -60,12 +60,12 @@ class Batch:
 
     @property
     def moving(self) -> Rows:
-        """Return the columns that a refit of any of the candidates moves."""
+        """Return the columns that the refit of at least one candidate moves."""
         found: Rows = np.flatnonzero(np.any(self.moves, axis=0))
         return found
 
     def has(self, column: int) -> NDArray[np.bool_]:
-        """Return which of the candidates have this column, [C]."""
+        """Return True for each candidate that has this column, [C]."""
         return np.array([column < len(c) for c in self.columns])
 
     def fill_from(self, u: Array, given: Refit) -> None:
@@ -94,7 +94,7 @@ class Batch:
         return x, OwnValues(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
     def drifts(self, u: Array) -> Array | None:
-        """Return what the quantities gain along each course, [variants, C, records, courses, Q]; None if none does."""
+        """Return the drift of the quantities along each course, [variants, C, records, courses, Q], or None."""
         drifting = [(i, k, f) for i, columns in enumerate(self.columns) for k, f in enumerate(columns) if f.along]
         if not drifting:
             return None
@@ -104,7 +104,7 @@ class Batch:
         return out
 
     def simulated(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
-        """Simulate those of variants × candidates that are `wanted` [variants, C], in that order."""
+        """Simulate the `wanted` [variants, C] combinations of variants and candidates, in that order."""
         x, own = self.values_of(u, v)
         drift = self.drifts(u)
         return simulate(
@@ -141,7 +141,7 @@ class Batch:
 
 
 def width(evidence: Evidence) -> int:
-    """Return how many whitened numbers the longest record has."""
+    """Return the number of whitened numbers of the longest record."""
     pairs = zip(evidence.volts, evidence.temps, strict=True)
     return max(w.rows.size + (t.rows.size if t is not None else 0) for w, t in pairs)
 
@@ -164,12 +164,12 @@ ALL_OF_ONE = np.ones((1, 1), dtype=bool)
 
 
 def at_best(problem: Problem, fit: Refit) -> Simulated:
-    """Return what the sensors should show with the refit's values (one variant)."""
+    """Return the sensor readings that the refit's values predict (one variant)."""
     return Batch(problem, [fit.candidate]).simulated(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
 
 
 def slopes_on_file(problem: Problem, fit: Refit) -> Array:
-    """Return what one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
+    """Return the change of `fit.residual` for one sd of each error of the file, [records, numbers, errors]."""
     batch = Batch(problem, [fit.candidate])
     u = np.zeros((1, len(fit.u), batch.size))
     batch.fill_from(u[0], fit)

@@ -24,7 +24,7 @@ class EvidenceBlock(NamedTuple):
 
 
 def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[EvidenceBlock, ...]:
-    """Return the chi-square of `before` less that of `after`, by block; a whitened number belongs to its own row."""
+    """Return the chi-square of `before` minus that of `after`, by block; each whitened number counts in its own row."""
     numbers, saved = np.zeros(len(BLOCKS), dtype=int), np.zeros(len(BLOCKS))
     for j, volts in enumerate(problem.evidence.volts):
         gain = before.residual[j] ** 2 - after.residual[j] ** 2
@@ -40,7 +40,7 @@ def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[Ev
 
 
 def _places(time_s: Array, rest: NDArray[np.bool_]) -> Rows:
-    """The block of each row of voltage: rest, the first minute under load, thirds of what follows."""
+    """Return the block of each row of voltage: rest, the first minute under load, thirds of the remaining flight."""
     since_s = time_s - np.min(time_s[~rest])
     share = (since_s - TAKE_OFF_S) / max(float(since_s[-1]) - TAKE_OFF_S, 1.0)
     thirds = 2 + np.clip((share * 3.0).astype(int), 0, 2)

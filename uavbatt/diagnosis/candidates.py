@@ -1,11 +1,12 @@
-"""The effects that a residual may be traced to: what is refitted, from where, how far.
+"""Candidate effects for a residual: the quantities that each refit frees, their starting values and their bounds.
 
 A candidate is a named effect with the quantities that its refit frees. In the solver's space a quantity is u with
 
     value = start + scale·u            or            value = start·exp(scale·u)
 
-and bounds on the value. What belongs to the aircraft (wiring, sensors, start) is always a candidate; a cell effect is
-one as long as the battery file lacks it, but for the sensor's lag, which a file states for another mounting.
+and bounds on the value. Effects of the aircraft (wiring, sensors, start) are always candidates. An effect of the cell
+is a candidate only if the battery file lacks it; the lag of the temperature sensor is an exception, because the file
+states it for another mounting.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ QUANTITIES = tuple(q for effect in EFFECTS.values() for q in effect.quantities)
 INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
 UNITS = {q.name: q.unit for q in QUANTITIES}
 ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
-PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
-ONE_WAY = ("fade", "growth")  # packs age in one direction
-SLOWING = ("transfer_V",)  # reactions only get slower: never less than the file has
+PACKS_OWN = ("temperature_lag", "charge_transfer")  # sensor mounting and ageing: worth reporting if changed
+ONE_WAY = ("fade", "growth")  # ageing has one direction
+SLOWING = ("transfer_V",)  # reactions only become slower: never less than in the file
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
 # What a sensor may drift along: the time since the record began, or the temperature that is measured.
@@ -37,7 +38,7 @@ COURSES: tuple[Course, ...] = get_args(Course)
 
 @dataclass(frozen=True, slots=True)
 class Freed:
-    """A refit moves a quantity of this `index` in QUANTITIES from its start, by `scale` times u, within the bounds."""
+    """A quantity that a refit frees: QUANTITIES[index], moved from its start by `scale` times u within the bounds."""
 
     index: int
     start: float
@@ -45,10 +46,10 @@ class Freed:
     low: float
     high: float
     log: bool
-    nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
-    estimated: bool = True  # a nuisance that is not counts in the standard errors only
-    shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
-    along: Course | None = None  # then the value is what the quantity gains along that course within the records
+    nuisance: bool = False  # u has a standard normal prior, and the value is added to that of the effects
+    estimated: bool = True  # a nuisance that is not moved still counts in the standard errors
+    shares: tuple[float, ...] = ()  # share of the change in each record; empty: all of it in every record
+    along: Course | None = None  # if set, the value is the change of the quantity along that course
 
     def value(self, u: Array) -> Array:
         """Return the value at u, kept within the bounds."""
@@ -57,7 +58,7 @@ class Freed:
         return kept
 
     def at(self, value: float) -> float:
-        """Return the u of a value."""
+        """Return the u that gives a value."""
         return float(np.log(value / self.start) if self.log else value - self.start) / self.scale
 
     def bounds_u(self) -> tuple[float, float]:
@@ -69,17 +70,17 @@ class Freed:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A candidate is one effect, or several that are refitted together.
+    """One effect, or several that are refitted together.
 
-    `names` has the name of each, `sizes` how many of the `freed` quantities are its own.
-    `free_start` lets the records start with charges of their own around a shift that they share.
+    `names` has the name of each effect, `sizes` the number of its quantities among `freed`. With `free_start` every
+    record has a starting charge of its own, around a shift that all share.
     """
 
     names: tuple[str, ...]
     freed: tuple[Freed, ...]
     sizes: tuple[int, ...] = ()
     free_start: bool = False
-    resized: tuple[str, ...] = ()  # effects that the battery file has already, with another size
+    resized: tuple[str, ...] = ()  # effects of the battery file, refitted with another size
 
     @property
     def name(self) -> str:
@@ -88,11 +89,11 @@ class Candidate:
 
     @property
     def last(self) -> int:
-        """Return how many quantities the effect has that was added last."""
+        """Return the number of quantities of the effect that was added last."""
         return self.sizes[-1] if self.sizes else 0
 
     def slice_of(self, name: str) -> slice:
-        """Return where the quantities of an effect stand among the freed."""
+        """Return the slice of the freed quantities that belongs to an effect."""
         k = self.names.index(name)
         first = sum(self.sizes[:k])
         return slice(first, first + self.sizes[k])
@@ -110,15 +111,15 @@ class Candidate:
 
 NOTHING = Candidate((), ())
 
-# What the battery file itself may be wrong by, the same for all records, and a reading of current and voltage that is
-# not quite simultaneous. Each of them looks like an effect; only what goes beyond is one. A file fitted to metered
-# records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
+# Possible errors of the battery file, equal for all records, and the delay between the readings of current and voltage.
+# Each of them looks like an effect; only what exceeds them is an effect. A file fitted to metered records of this pack
+# is right to about a percent; a file for all packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
-# As the file states them; errors of the others go with the resistance's.
+# Errors that the file states. The errors of the others are tied to that of the resistance.
 STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
-# A reaction slows down in the cold otherwise than an ohm grows, which the model does not have: with one in the file,
-# the law of the cold is not better known than this, however well it fits a few flights.
+# A reaction slows down in the cold by another law than a resistance grows, and the model does not have that law. If the
+# file has a slow reaction, its behaviour in the cold is known no better than this, however well it fits a few flights.
 LEAST_ACTIVATION_SD_K = 300.0
 
 
@@ -127,8 +128,8 @@ def nuisances(
 ) -> tuple[Freed, ...]:
     """List the errors of the battery file that all records share, each in u with sd 1.
 
-    wear_sd : sd of the pack's fade and growth, where it was met before; least_activation_sd_K : least error of the
-    activation temperature [K] in a file with slow reactions, 0 to take it as the file states it.
+    wear_sd : sd of the fade and growth of a known pack; least_activation_sd_K : least error of the activation
+    temperature [K] for a file with slow reactions, 0 to use the error that the file states.
     """
     table = file.parameters
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
@@ -148,13 +149,13 @@ def nuisances(
 
 
 def capacity_sd(file: BatteryFile) -> float:
-    """Return the relative standard deviation to which the file's capacity is known."""
+    """Return the relative standard deviation of the file's capacity."""
     stated = CAPACITY_SHARE * file.parameters.capacity_scale_sd
     return min(stated, CAPACITY_SD) if file.is_measured and file.parameters.c_rate is None else stated
 
 
 def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activation_sd_K: float) -> float:
-    """The error that is believed of a quantity, 0 where the file states none."""
+    """Return the assumed error of a quantity, 0 if the file states none."""
     stated = entry.standard_error.get(name, 0.0)
     reacts = name == "activation_K" and any(e.name == "charge_transfer" for e in file.effects)
     return max(stated, least_activation_sd_K) if reacts and stated > 0.0 else stated
@@ -165,7 +166,7 @@ def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:
 
 
 def base_values(cell: Parameters, installation: Installation) -> Array:
-    """Return the value of every quantity, in the order of QUANTITIES, as the battery file has it; 0 if it has none."""
+    """Return the battery file's value of every quantity, in the order of QUANTITIES; 0 if the file has none."""
     known = {**cell._asdict(), **installation._asdict()}
     return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
 
@@ -173,10 +174,10 @@ def base_values(cell: Parameters, installation: Installation) -> Array:
 def candidates(
     file: BatteryFile, base: Array, *, has_temperature: bool, idle_A: float, without: tuple[str, ...]
 ) -> list[Candidate]:
-    """List every effect worth trying on a battery of this file; `without` names those that are left out.
+    """List every effect worth trying on a battery of this file, except those in `without`.
 
-    base : the file's values (`base_values`); idle_A : the current [A] that the sensor reports at rest: it adds no more
-    than that, since no pack charges on the ground.
+    base : the file's values (`base_values`); idle_A : the current [A] that the sensor reports at rest, the upper limit
+    of its offset, since no pack charges on the ground.
     """
     listed = {entry.name for entry in file.effects}
     found = []
@@ -186,20 +187,20 @@ def candidates(
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
         free = [q for q in effect.quantities if q.prior_sd > 0.0 and q.fitted]
-        if effect.name in listed:  # another size of what is there, not another shape
+        if effect.name in listed:  # another size of an effect of the file, not another shape
             free = [q for q in effect.quantities if not q.fitted] or free[:1]
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
         has_it = effect.name in listed and base[INDEX[free[0].name]] != free[0].neutral
         resized = (effect.name,) if has_it and effect.name not in PACKS_OWN else ()
-        own_start = effect.name == "initial_charge"  # each flight was charged by itself
+        own_start = effect.name == "initial_charge"  # each flight had its own charge
         found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found
 
 
 def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
-    """From the file's value where the quantity has an "off"; else from its prior."""
+    """Return the freed quantity: it starts at the file's value if the quantity has an "off", else at its prior."""
     listed = len(effect.quantities) == 1 or base != quantity.neutral
     start = base if listed else quantity.prior
     log = quantity.log and start > 0.0

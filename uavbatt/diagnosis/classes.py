@@ -1,4 +1,4 @@
-"""A finding in the words of the diagnosis: which effects it may be, their values with intervals, what would tell."""
+"""A finding for the report: the effects that it may be, their values with intervals, and the readings that decide."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from uavbatt.diagnosis.search import FoundEffect
 from uavbatt.diagnosis.trial import Trial
 from uavbatt.diagnosis.words import separating
 
-COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
+COVERAGE = 2.2  # standard errors on either side: 95 % with few independent parts of a record
 SLOWEST_POLARISATION_S = 30.0
 # A lag of the sensor is read from how the pack warms, and the model lacks the heat of the reactions themselves (the
 # entropic term of Bernardi 1985), which grows as a pack empties: 13 lags of drawn cases were told at 0.55 to 0.69.
 LAG_SHARE = 0.25
-NEVER_SURE = 0.97  # share of the candidates' probability that is kept at most: the cause may be none of them
+NEVER_SURE = 0.97  # largest total probability of the candidates: the cause may be none of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class EffectClass:
-    """A class holds the effects that these records cannot tell apart, best first."""
+    """The effects that these records cannot tell apart, best first."""
 
     members: tuple[str, ...]
     probability: float
@@ -43,7 +43,7 @@ class EffectClass:
 
 
 def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectClass:
-    """Turn a finding into a class; `believed` is how likely it is that the cause is one of the candidates at all."""
+    """Turn a finding into a class; `believed` is the probability that the cause is one of the candidates."""
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
@@ -55,7 +55,7 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
 
 
 def start_class(problem: Problem, nothing: Refit) -> EffectClass:
-    """Return the start of charge as a class, for records that rested well below full."""
+    """Return the class of the starting charge, for records that rested well below full."""
     evidence = problem.evidence
     starts = evidence.start_soc + evidence.start_sd * nothing.v[:, 0]
     shift = starts[evidence.charged_in_part] - 1.0
@@ -67,7 +67,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 @dataclass(frozen=True, slots=True)
 class HiddenSize:
-    """An effect may be there without being seen, its first quantity from `lo` to `hi` (95 % interval)."""
+    """The size of an effect that could be present unseen: its first quantity from `lo` to `hi` (95 % interval)."""
 
     name: str
     quantity: str
@@ -77,7 +77,7 @@ class HiddenSize:
 
 
 def hidden_sizes(tried: Trial) -> tuple[HiddenSize, ...]:
-    """List how much of each single effect that was tried could be there without being seen, by name."""
+    """List, for each single effect that was tried, the size that could be present unseen, by name."""
     out = []
     for fit in tried.fits:
         name, one = next(iter(intervals(fit).items()))
@@ -86,11 +86,11 @@ def hidden_sizes(tried: Trial) -> tuple[HiddenSize, ...]:
 
 
 def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
-    """The members, each followed by its other name where it goes by two.
+    """Return the members, each followed by its second name if it has one.
 
-    A lag of a minute is the fast end of diffusion as much as the slow end of polarisation. A pack that is only ever
-    discharged shows its branch of the hysteresis as it would show a lag of minutes, and the other way round. And
-    slower reactions are how the resistance of most packs grows: a charger that reads it shows both.
+    A lag of a minute can be called fast diffusion or slow polarisation. A pack that is only discharged shows its branch
+    of the hysteresis in the same way as a lag of minutes, and the reverse. The resistance of most packs grows because
+    reactions become slower, and the resistance reading of a charger shows both.
     """
     slow = float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S
     twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion", "slow_diffusion": "hysteresis"}

@@ -1,7 +1,7 @@
 """Close the loop: the extended battery file, and the error before and after on records that were left out.
 
-Each record is predicted with the values that the other records give, so that none judges itself. Remaining time is
-judged by a replay of the log with its own load known (`--load log`): what is left is the battery's error.
+Each record is predicted with the values from the other records, so that no record judges itself. Remaining time is
+judged by a replay of the log with its load known (`--load log`); the remaining error is that of the battery model.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class HeldOutErrors:
-    """HeldOutErrors holds the errors on held-out records; NaN where one cannot be judged (no end, no temperature).
+    """Errors on held-out records; NaN where an error cannot be judged (no end of charge, no temperature).
 
     `coverage` is the share of forecasts whose interval holds the true remaining time.
     """
@@ -53,7 +53,7 @@ class HeldOutErrors:
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """ClosedLoop holds the errors before and after the extension, and the names of the records held out for them."""
+    """The errors before and after the extension, and the names of the records that were held out."""
 
     before: HeldOutErrors
     after: HeldOutErrors
@@ -61,7 +61,7 @@ class ClosedLoop:
 
     @property
     def worse(self) -> str:
-        """Say which error on held-out records is larger with what was found, as `voltage 101 -> 114 mV`; "" if none."""
+        """Name the errors on held-out records that became larger, as `voltage 101 -> 114 mV`; "" if none."""
         b, a = self.before, self.after
         pairs = (
             ("voltage", 1000.0 * b.voltage_rmse_V, 1000.0 * a.voltage_rmse_V, "mV"),
@@ -71,7 +71,7 @@ class ClosedLoop:
 
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
-    """Return effect -> quantity -> value for values [freed] of a refit; none for a start, which is a flight's own."""
+    """Return effect -> quantity -> value for the values [freed] of a refit, without the start of charge of a flight."""
     known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
         name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known and name != "initial_charge"}
@@ -80,7 +80,7 @@ def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
 
 
 def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors: dict[str, float]) -> BatteryFile:
-    """Return the file with effects added or resized; one without a shared value (each flight's start) is left out.
+    """Return the file with effects added or resized; effects without a shared value (start of charge) are left out.
 
     effects : effect -> quantity -> value; errors : standard error by quantity.
     """
@@ -103,9 +103,9 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
 
 
 def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFile:
-    """Return the battery file with what was found, or the file itself when nothing was; flights do not certify it.
+    """Return the battery file with the found effects, or the file itself if none was found; flights do not certify it.
 
-    worse : what it predicts worse on held-out records (`ClosedLoop.worse`), for the file to say so.
+    worse : the errors that became larger on held-out records (`ClosedLoop.worse`); the file states them.
     """
     if found.verdict == "no_missing_effect":
         return file
@@ -116,7 +116,7 @@ def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFil
     by_name = values_by_name(fit, values)
     new = with_effects(file, by_name, errors)
     left = file.discrepancy
-    if found.verdict == "undeclared_effect":  # what is not explained widens every interval
+    if found.verdict == "undeclared_effect":  # unexplained error widens every interval
         share = file.battery.cells_series / float(found.problem.pack.installation.cells)
         left = msgspec.structs.replace(
             left,
@@ -150,7 +150,7 @@ def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> Batter
 
 
 def _ungated(file: BatteryFile) -> Literal["fitted", "edited"]:
-    """The status of what no gate has passed: from data, but what rests on an edited file is no better than that."""
+    """Return the status before any gate: from data, but not better than the status of the file it is based on."""
     return "edited" if file.status == "edited" else "fitted"
 
 

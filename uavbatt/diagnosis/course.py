@@ -1,11 +1,11 @@
-"""The course of an effect over flights in order of time: since when is it there, and does it grow?
+"""The course of an effect over flights in order of time: at which flight does it begin, and does it grow?
 
-An effect that begins at flight k is in no flight before it. In the flights from k on it is there whole, or it grows:
+An effect that begins at flight k is absent in all flights before k. From flight k on it has its full size, or it grows:
 
     value_j = off + share_j (value - off)       share_j = 0 before k, then 1, or (j - k + 1) / (n - k + 1)
 
-One refit in which all flights have the effect tells each flight's own value and how well it is known, as everywhere in
-this package. From these the saving of every course follows without another simulation; only the best are refitted.
+One refit in which all flights have the effect gives each flight's own value and its standard error. The saving of every
+course follows from these without another simulation, so that only the best courses are refitted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.problem import Problem, Refit
 
-LEAST_TO_GROW = 3  # flights: two of different size are a step as well
+LEAST_TO_GROW = 3  # flights needed to see growth: two flights with different sizes could also be a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +42,8 @@ def courses(flights: int) -> list[Course]:
 
 
 @dataclass(frozen=True, slots=True)
-class OwnValues:
-    """OwnValues holds each flight's change of an effect's first quantity from the file's, in order of time."""
+class FlightValues:
+    """FlightValues holds each flight's change of an effect's first quantity from the file's, in order of time."""
 
     change: Array
     sd: Array
@@ -54,7 +54,7 @@ class OwnValues:
         return float(np.sum(weight * shares * self.change) ** 2 / max(np.sum(weight * shares**2), 1e-12))
 
 
-def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValues:
+def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> FlightValues:
     """Return each flight's own values of the effect that a refit of all flights added last.
 
     order : the places of the flights among the records of the refit, in order of time.
@@ -65,7 +65,7 @@ def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValue
     known = np.maximum(whole.information[places, k, k], 1e-6)
     at = freed.value(whole.u[places, k])
     slope = freed.scale * at if freed.log else np.full(len(places), freed.scale)
-    return OwnValues(
+    return FlightValues(
         at + slope * whole.score[places, k] / known - problem.base[freed.index], np.abs(slope) / np.sqrt(known)
     )
 

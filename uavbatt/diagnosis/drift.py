@@ -1,11 +1,11 @@
-"""Does an effect keep its size from take-off to landing? One that drifts within the flights has no name among ours.
+"""Drift of an effect within a flight: does its size stay the same from take-off to landing?
 
     value(t) = value + drift (t/L - 1/2),        t since the record began, L its length
     value(t) = value + drift (T(t) - T_m)/ΔT,    T(t) the temperature read, T_m the middle of all, ΔT their span
 
-Of sensors and wiring alone: no state of the cell depends on what they are, so that they may differ from row to row.
-Along the temperature only the gain of the voltage is tried, for a converter that warms: a current or a lead that went
-with it could not be told from how the resistance does.
+Only effects of sensors and wiring can drift here. The states of the cell do not depend on them, so that their values
+may differ from row to row. Only the voltage gain is tried along the temperature (a converter that warms up): a current
+or a lead that changed with temperature would look like the temperature dependence of the resistance.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WITHIN: dict[Course, str] = {
 
 
 def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | None:
-    """Refit an effect with a drift along time or temperature, the same in all records; None where it cannot drift."""
+    """Refit an effect with a drift along time or temperature, equal in all records; None if it cannot drift."""
     first = found.candidate.freed[found.candidate.slice_of(found.candidate.name)][0]
     quantity = next(q for q in EFFECTS[found.candidate.name].quantities if INDEX[q.name] == first.index)
     if quantity.name not in MAY_DRIFT:
@@ -40,7 +40,7 @@ def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | 
 
 
 def saved(drift: Refit, steady: Refit) -> float:
-    """Return how much less chi-square a drift leaves on records left out."""
+    """Return the chi-square that a drift saves on left-out records."""
     return float(np.sum(left_out_chi2(steady)) - np.sum(left_out_chi2(drift)))
 
 
@@ -49,7 +49,7 @@ def words(drift: Refit) -> str:
     its = drift.candidate.freed[-1]
     unit = unit_words(QUANTITIES[its.index].unit)
     change = f"{drift.values()[0][-1]:+.3g} {unit}".strip()
-    assert its.along is not None  # the last that `drifting` has freed
+    assert its.along is not None  # the quantity that `drifting` has freed last
     return (
         f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} {WITHIN[its.along]}"
     )

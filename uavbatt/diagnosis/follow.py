@@ -1,8 +1,8 @@
 """Flights of one pack in order of time: which effect is missing, since which flight, and does it grow?
 
-The same evidence as `diagnosis`, with one question more. Every effect that can begin is tried with every course; an
-effect is followed when what it is worth over the flights, each predicted by the others, is more than chance gives to
-the best of so many courses. What has been found stays in the model while the next is looked for.
+The evidence is that of `diagnosis`. Every effect that can begin between two flights is tried with every course. An
+effect is reported when its worth (each flight predicted from the others) exceeds what chance gives to the best of that
+many courses. An effect that has been found stays in the model while the next one is searched for.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
-from uavbatt.diagnosis.course import Course, OwnValues, courses, on_course, own_values
+from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
 from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
@@ -27,24 +27,24 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
-# What may befall an aircraft between two flights; the rest is the cell's nature, or each flight's own.
+# Effects that can begin between two flights. The others are properties of the cell, or differ in every flight.
 CAN_BEGIN = (
     "capacity_fade", "resistance_growth", "weak_cell", "charge_transfer", "harness_resistance", "current_gain",
     "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset", "temperature_lag",
     "current_delay", "airflow_cooling",
 )  # fmt: skip
 EARNED = 12.0  # the best of many courses: scripts/diagnose_cases_healthy.py
-EARNED_ONCE = 36.0  # by one flight alone, whose own oddity it may be
-GROWS = 6.0  # chi-square by which growing must be better than beginning at once
-AS_GOOD = 6.0  # chi-square within which another beginning is as good
+EARNED_ONCE = 36.0  # for an effect in one flight only, which may be a peculiarity of that flight
+GROWS = 6.0  # chi-square by which a growing effect must fit better than one that begins at once
+AS_GOOD = 6.0  # chi-square difference within which another first flight is as good
 MOST_EFFECTS = 2
 REFITTED = 12  # courses that are refitted after all are looked through
 LEAST_FLIGHTS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
-    """Followed holds one effect with its course; flights are counted from 0 in order of time."""
+class FollowedEffect:
+    """One effect with its course; flights are counted from 0 in order of time."""
 
     found: EffectClass
     course: Course
@@ -58,12 +58,12 @@ class Followed:
 
 @dataclass(frozen=True, slots=True)
 class Follow:
-    """Follow holds the flights in order of time, the verdict and what was found in them."""
+    """The flights in order of time, the verdict, and the effects that were found."""
 
     verdict: Verdict
     flights: tuple[str, ...]
     left_out: tuple[str, ...]  # too short to tell anything
-    effects: tuple[Followed, ...]
+    effects: tuple[FollowedEffect, ...]
     reasons: tuple[str, ...]
 
 
@@ -77,7 +77,7 @@ def follow(
 ) -> Follow:
     """Follow one pack over records in order of time. Raises NotEnoughData with the reason.
 
-    without : effects that are no candidates; progress : told each step; engine : simulates many columns.
+    without : effects to leave out; progress : is called with the name of each step; engine : simulates many columns.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
@@ -110,7 +110,7 @@ def follow(
 
 
 class _Tried(NamedTuple):
-    """One effect on one course, refitted."""
+    """The refit of one effect on one course."""
 
     option: Candidate
     course: Course
@@ -118,17 +118,17 @@ class _Tried(NamedTuple):
 
 
 class _Trace(NamedTuple):
-    """An effect that earned its place, with its course and where else it may have begun."""
+    """An effect that was found, with its course and the other flights at which it may have begun."""
 
     effect: FoundEffect
     course: Course
     earliest: int
     latest: int
-    own: OwnValues
+    own: FlightValues
 
 
 def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequence[int]) -> _Trace | None:
-    """The effect and course that explain most beside what `before` has; None when none earns its place."""
+    """Return the effect and course that explain most beside the effects of `before`; None if none is worth enough."""
     free = [o for o in options if not related(o.names, before.candidate.names)]
     if not free:
         return None
@@ -155,15 +155,15 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     return _Trace(effect, chosen.course, min(as_good), max(as_good), own)
 
 
-def _own_values(problem: Problem, free: list[Candidate], before: Refit, order: Sequence[int]) -> list[OwnValues]:
-    """The flights' own values of every effect, from a refit of each in which all flights have it."""
+def _own_values(problem: Problem, free: list[Candidate], before: Refit, order: Sequence[int]) -> list[FlightValues]:
+    """Return each flight's own value of every effect, from refits in which all flights have that effect."""
     tried = [before.candidate.plus(o) for o in free]
     fits = refit(problem, tried, start=[before] * len(tried), iterations=FURTHER_TURNS)
     return [own_values(problem, fit, order) for fit in fits]
 
 
-def _shortlist(free: list[Candidate], owns: list[OwnValues]) -> list[tuple[Candidate, Course]]:
-    """The best beginning of every effect, steady and growing; the most promising of these."""
+def _shortlist(free: list[Candidate], owns: list[FlightValues]) -> list[tuple[Candidate, Course]]:
+    """Return the most promising courses: for every effect the best first flight, both steady and growing."""
     found = []
     for option, own in zip(free, owns, strict=True):
         for grows in (False, True):
@@ -184,28 +184,28 @@ def _refitted(
 
 
 def _best(tried: list[_Tried], before: Refit) -> _Tried | None:
-    """The one that leaves least of those that earn a place; not one that ran into the end of what is physical."""
+    """Return the refit with the least chi-square among those worth enough; none that stands at a physical bound."""
     flights = len(before.chi2)
     earned = [t for t in tried if not at_bound(t.fit) and _earned(t, before, flights)]
     return min(earned, key=lambda t: t.fit.total, default=None)
 
 
 def _earned(tried: _Tried, before: Refit, flights: int) -> bool:
-    """Return True if it is worth more than chance gives; of one flight alone, more than its oddity does."""
+    """Return True if an effect is worth more than chance gives; in one flight only, more than a peculiarity gives."""
     its = worth(tried.fit, before)
-    if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can speak for it
+    if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can confirm it
         return its.most * its.known > EARNED_ONCE
     return its.value > EARNED
 
 
 def _chosen(tried: list[_Tried]) -> _Tried:
-    """The best course; one that grows only if it is clearly better than any that does not."""
+    """Return the best course; a growing one only if it is clearly better than every steady one."""
     possible = [t for t in tried if not at_bound(t.fit)]
     return min(possible, key=lambda t: t.fit.total - (GROWS if not t.course.grows else 0.0))
 
 
-def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
-    """A trace with each flight's own value, as it is shown."""
+def _told(problem: Problem, trace: _Trace, sure: float) -> FollowedEffect:
+    """Return the effect for display, with each flight's own value."""
     fit = trace.effect.members[0]
     freed = fit.candidate.freed[fit.candidate.slice_of(trace.effect.name)][0]
     name = QUANTITIES[freed.index].name
@@ -216,4 +216,5 @@ def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
         for v, h in zip(values, half, strict=True)
     )
     told = class_of(problem, trace.effect, sure)
-    return Followed(told, trace.course, trace.earliest, trace.latest, own, name, float(off), trace.effect.worth.value)
+    course, saved = trace.course, trace.effect.worth.value
+    return FollowedEffect(told, course, trace.earliest, trace.latest, own, name, float(off), saved)

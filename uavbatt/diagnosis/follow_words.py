@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavbatt.battery.effects import unit_words
-from uavbatt.diagnosis.follow import Followed
+from uavbatt.diagnosis.follow import FollowedEffect
 from uavbatt.diagnosis.words import QUANTITY
 
 
-def course_words(one: Followed, flights: Sequence[str], dates: Sequence[str]) -> str:
+def course_words(one: FollowedEffect, flights: Sequence[str], dates: Sequence[str]) -> str:
     """Say when the effect began, as `since flight 5 of 9 (2026-05-03, f5.tlog), steady`."""
     begins, count = one.course.begins, len(flights)
     course = "growing from flight to flight" if one.course.grows else "steady"
@@ -25,7 +25,7 @@ def course_words(one: Followed, flights: Sequence[str], dates: Sequence[str]) ->
     return told
 
 
-def size_words(one: Followed) -> str:
+def size_words(one: FollowedEffect) -> str:
     """Say how large the effect is at the last flight, and by how much it grows."""
     quantity, unit = QUANTITY.get(one.quantity, one.quantity), unit_words(one.values[0].unit)
     last = one.found.parameters[one.quantity]

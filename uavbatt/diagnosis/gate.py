@@ -1,9 +1,10 @@
 """The gate for an extended battery file: do the bench tests agree with its cells?
 
 The gate predicts each occasion of the tests from a fit to the others. The cells of the file may differ from that fit,
-by what diagnosis added or because the file comes from elsewhere; then the predictions are moved by the difference of
-two open-loop simulations and judged again. What was added to the aircraft (wiring, sensors) leaves bench tests as they
-are. And tests of a new pack cannot speak for what it has become: with an effect of ageing, data are missing.
+because diagnosis added an effect or because the file comes from another source; then the predictions are shifted by the
+difference of two open-loop simulations and judged again. Effects of the aircraft (wiring, sensors) do not change bench
+tests. Tests of a new pack say nothing about the aged pack: with an effect of ageing the verdict is that data are
+missing.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def _missing(ambient_C: float | None, reason: str) -> Verdict:
 
 
 def _difference(tests: DataSet, ambient_C: float, old: BatteryFile, new: BatteryFile) -> tuple[Array, Array]:
-    """Times [s] and voltage of the new cell less that of the old [V, of the pack], mean over the repeated tests."""
+    """Return times [s] and the pack voltage of the new cell minus that of the old [V], mean over the repeated tests."""
     stack = observed.stack(observed.from_dataset(replace(tests, runs=tests.at(ambient_C))))
     start = rested(np.ones(stack.cells.size), stack.start_temp_C)
     rate = stack.current_A / stack.capacity_Ah

@@ -1,4 +1,4 @@
-"""Error on records that were left out: each predicted with the values that the others give."""
+"""Error on left-out records: each is predicted with the values from the other records."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float, float]:
     """Return the RMSE of voltage under load above the cut-off [V] and of temperature [K].
 
-    values : the values that each record is given, [freed] per record.
+    values : the values for each record, [freed] per record.
     """
     u = fit.u.copy()
     for j, given in enumerate(values):

@@ -1,7 +1,7 @@
-"""The pair of effects that explains the records where one does not: every promising pair is refitted as a pair.
+"""The pair of effects that explains the records where one effect does not: every promising pair is refitted as a pair.
 
-Each of the two has to earn its place beside the other. Among the pairs that do, that family of pairs is taken which is
-the likeliest in all: one more name for the same two causes is one more way in which they can be the truth.
+Each effect of a pair must be worth enough beside the other. The pairs that pass are grouped into families: pairs of the
+same two causes under other names. The family with the largest total likelihood is chosen.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ TRIED = 12  # pairs that are weighed against each other
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Pair holds the refit of two effects, and of all pairs that earned a place the families and how likely each is."""
+    """The refit of two effects, with the families and the likelihoods of all pairs that passed."""
 
     fit: Refit
     kinds: tuple[frozenset[frozenset[str]], ...]
     likely: Array
 
     def share(self, name: str) -> float:
-        """Return how likely one of the family of `name` is among the two, by all pairs that earned a place."""
+        """Return the probability that one of the two is of the family of `name`, over all pairs that passed."""
         those = [family(name) in kind for kind in self.kinds]
         return float(np.sum(self.likely[those]) / np.sum(self.likely))
 
@@ -47,7 +47,7 @@ def asked_of_each(problem: Problem, pair: Candidate) -> float:
 
 
 def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Pair | None:
-    """Return the two effects that explain most, each of which earns its place beside the other; None if no two do."""
+    """Return the two effects that explain most, each worth enough beside the other; None if no pair passes."""
     earned = whole(problem, _earned(problem, options, singles, best)[:TRIED], singles)
     if not earned:
         return None
@@ -59,9 +59,10 @@ def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: 
 
 
 def _seeds(singles: Trial) -> list[Refit]:
-    """The singles that pairs are built on: those that explain most, and the best of each other family.
+    """Return the single effects that pairs are built on: those that explain most, and the best of each other family.
 
-    Four names of one drop under load may explain most where a sensor and the capacity are the two that are missing.
+    The best of each family is needed because the four largest may all be names of one voltage drop under load, while
+    the two missing effects are a sensor error and a loss of capacity.
     """
     gains = [singles.before.total - f.total for f in singles.fits]
     promising = [f for f, g in zip(singles.fits, gains, strict=True) if g > SEED_SHARE * gains[0]]

@@ -1,4 +1,4 @@
-"""The values that all refits share, and the value that a refit gives back."""
+"""The problem that all refits share, and the result of a refit."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Problem holds what all refits share: the battery file's pack, the records, the quantities' values (`base`)."""
+    """The data of all refits: the battery file's pack, the records, the values of the quantities (`base`)."""
 
     pack: Pack
     evidence: Evidence
     base: Array
     nuisances: tuple[Freed, ...]
-    stated: tuple[Freed, ...]  # the same, no larger than the file states: what may explain a residual away
+    stated: tuple[Freed, ...]  # the same, but no larger than the file states: errors that may explain a residual away
     tables: TableErrors | None = None
-    states: openloop.States = openloop.states  # simulates them; compiled, where the command hands that in
+    states: openloop.States = openloop.states  # simulates the records; the command hands in the compiled function
 
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """Refit holds one candidate at its best: u [records, columns] in the solver's space, nuisances v [records, 3]."""
+    """One candidate at its optimum: u [records, columns] in the solver's space, nuisances v [records, 3]."""
 
     candidate: Candidate
     columns: tuple[Freed, ...]  # shared errors of the file, then the candidate's quantities
@@ -72,9 +72,9 @@ class Refit:
     knots: Array  # [records, knots]: errors of the file's tables in standard deviations
     v: Array
     chi2: Array  # per record, priors of the nuisances included
-    moves: NDArray[np.bool_]  # which of columns and knots the fit moves
+    moves: NDArray[np.bool_]  # True for the columns and knots that the fit moves
     information: Array  # [records, columns and knots, same], nuisances eliminated
-    score: Array  # [records, columns and knots]: half the descent of each record's chi-square
+    score: Array  # [records, columns and knots]: half the negative gradient of each record's chi-square
     residual: Array  # whitened, [records, numbers]
 
     @property
@@ -90,12 +90,12 @@ class Refit:
 
     @property
     def quantities(self) -> Rows:
-        """Return the places of the candidate's quantities among the columns."""
+        """Return the indices of the candidate's quantities among the columns."""
         return np.arange(len(self.columns) - len(self.candidate.freed), len(self.columns))
 
     @property
     def with_effects_swapped(self) -> Refit:
-        """Return the same refit of two effects with their order turned: the first stands as the one added last."""
+        """Return the same refit of two effects in reverse order: the first becomes the one added last."""
         its, first = self.candidate, self.quantities[0]
         second = first + its.sizes[0]
         size = len(self.columns)
@@ -118,7 +118,7 @@ class Refit:
     def covariance_u(self, *, considered: bool) -> Array:
         """Return the covariance of the candidate's quantities in u, [freed, freed].
 
-        considered : add what the file's own errors n (unit sd, never estimated here) do to the estimate,
+        considered : add the influence of the file's errors n (unit sd, never estimated here) on the estimate,
         cov = A^-1 + A^-1 A_n A_n' A^-1 (Schmidt's consider covariance; Jazwinski 1970, section 8.4).
         """
         information = np.sum(self.information, axis=0)
@@ -133,7 +133,7 @@ class Refit:
         return out
 
     def errors(self) -> Array:
-        """Return the standard errors of `values` [freed], the file's own errors considered."""
+        """Return the standard errors of `values` [freed], including the influence of the file's errors."""
         sd_u = np.sqrt(np.diagonal(self.covariance_u(considered=True)))
         scale = np.array([f.scale for f in self.candidate.freed])
         factor = np.where([f.log for f in self.candidate.freed], self.values(), 1.0)

@@ -1,7 +1,7 @@
 """Nonlinear refit of many candidates at once: Levenberg-Marquardt, all simulations of an iteration in one pass.
 
-A nuisance v touches its own record only, so one nudge serves all records, and the normal equations for it and for what
-all records share, u (see `batch`),
+A nuisance v affects only its own record, so one simulation gives its slopes for all records. The normal equations for
+the nuisances v and for the unknowns u that all records share (see `batch`),
 
     [sum_r A_uu   A_uv ] [du]   [g_u]
     [A_vu         A_vv ] [dv] = [g_v]
@@ -22,13 +22,13 @@ from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
 ITERATIONS = 12
-SETTLED = 40  # of the model with nothing added: what it has not settled would be credited to every effect
+SETTLED = 40  # iterations for the model without an effect: what has not converged would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
-CONVERGED = 0.01  # chi-square that a step has to promise
+CONVERGED = 0.01  # smallest chi-square that a step must be expected to gain
 
 
 class _Linearised(NamedTuple):
-    """Candidates at u and v, linear in some columns of u and in v."""
+    """Candidates linearised at u and v, in some columns of u and in v."""
 
     r: Array  # [C, R, M]
     chi2: Array  # [C, R]
@@ -41,12 +41,12 @@ class _Linearised(NamedTuple):
         return _Linearised(*(values[few] for values in self))
 
     def put(self, few: Rows, new: _Linearised) -> None:
-        """Write those of some candidates in place."""
+        """Write the rows of some candidates in place."""
         for values, its in zip(self, new, strict=True):
             values[few] = its
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a trial whose pack runs away is no number, and is not taken
+@np.errstate(over="ignore", invalid="ignore")  # a trial whose pack diverges gives NaN and is rejected
 def refit(
     problem: Problem,
     candidates: list[Candidate],
@@ -55,9 +55,9 @@ def refit(
     iterations: int = ITERATIONS,
     file_errors: bool = False,
 ) -> list[Refit]:
-    """Refit every candidate, from `start` on; with `file_errors` the errors that the battery file states move, too.
+    """Refit every candidate, beginning at `start`. `file_errors` also frees the errors that the battery file states.
 
-    One that has converged stays where it is while the others go on.
+    A candidate that has converged is left as it is while the others continue.
     """
     batch = Batch(problem, candidates, file_errors=file_errors)
     u = np.zeros((len(candidates), batch.records, batch.size))
@@ -74,15 +74,16 @@ def refit(
         going = _turn(batch, going, moving, state, u, v, damping)
         if not going.size:
             break
-    state = _linearised(batch, u, v, np.arange(batch.size))  # the errors that are held count in the standard errors
+    state = _linearised(batch, u, v, np.arange(batch.size))  # errors held fixed still count in the standard errors
     return [_refit_of(batch, state, u, v, i) for i in range(len(candidates))]
 
 
 def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array, v: Array, damping: Array) -> Rows:
-    """One step of the candidates that are `going`, taken where it gains, written in place; returns who goes on.
+    """Take one step of the candidates that are `going`, in place, where it gains; return those that continue.
 
-    One whose step promises nothing is done, whether at its best or damped to a standstill. What a step gained does not
-    tell: one that leaps a corner may gain nothing and be far from the best.
+    A candidate has finished when its next step is expected to gain nothing, either at its optimum or because damping
+    has made the step too small. The gain of the last step is no criterion: a step over a corner may gain nothing far
+    from the optimum.
     """
     part, now = batch.part(going), state.of(going)
     du = np.zeros((going.size, *u.shape[1:]))
@@ -103,14 +104,14 @@ def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array,
 
 
 def _promised(s: _Linearised, v: Array, du: Array, dv: Array) -> Array:
-    """Chi-square that a step would gain were the model linear and the step whole, g'd."""
+    """Return the chi-square that a full step would gain if the model were linear, g'd."""
     *_, g_u, g_v = _blocks(s, v)
     out: Array = np.sum(g_u * du, axis=(1, 2)) + np.sum(g_v * dv, axis=(1, 2))
     return out
 
 
 def _scanned(batch: Batch, u: Array, v: Array) -> Array:
-    """The best of a few sizes of the quantity added last: a large effect has no slope that leads there from zero."""
+    """Return the best of a few sizes of the last quantity: the slope at zero does not lead to a large effect."""
     us = np.repeat(u[None], len(SCAN), axis=0)
     for i, c in enumerate(batch.candidates):
         if c.last:
@@ -124,7 +125,7 @@ def _scanned(batch: Batch, u: Array, v: Array) -> Array:
 
 
 def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
-    """Nudge some columns of u, and every one of v."""
+    """Compute the slopes for some columns of u and for all of v by small changes of each."""
     nudged = columns[columns < batch.freed]
     first_v = 1 + nudged.size
     side = np.where(u + NUDGE > batch.high[:, None], -NUDGE, NUDGE)
@@ -135,7 +136,7 @@ def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
         us[place, ..., k] += side[..., k]
         wanted[place] = batch.has(k)
     for k in range(NUISANCES):
-        vs[first_v + k, ..., k] -= NUDGE  # downwards: the charge has its ceiling above
+        vs[first_v + k, ..., k] -= NUDGE  # downwards, because the charge cannot exceed full
     values, soc = batch.residuals(us, vs, wanted)
     values[1:] -= values[0]
     values[1:first_v] /= np.moveaxis(side[..., nudged], -1, 0)[..., None]
@@ -153,7 +154,7 @@ def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
 
 
 def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """A_uu, A_uv, A_vv and the right-hand sides g_u, g_v."""
+    """Return A_uu, A_uv, A_vv and the right-hand sides g_u, g_v."""
     size = s.stiffness.shape[-1]
     shared, own = slice(1, 1 + size), slice(1 + size, None)
     a_uu = s.gram[..., shared, shared] + s.stiffness[..., None] * np.eye(size)
@@ -175,7 +176,7 @@ def _step(s: _Linearised, v: Array, damping: Array) -> Array:
 
 
 def _given(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
-    """The nuisances' step for a given step of the quantities."""
+    """Return the step of the nuisances for a given step of the quantities."""
     _, a_uv, a_vv, _, g_v = _blocks(s, v)
     a_vv = a_vv * (1.0 + damping[:, None, None, None] * np.eye(NUISANCES))
     right = g_v[..., None] - np.swapaxes(a_uv, -1, -2) @ du[..., None]

@@ -1,7 +1,7 @@
-"""Residual of the model: per record, and split by what might cause it.
+"""Residual of the model, for each record and split by its possible causes.
 
-The size of a residual is that of its slow part, the mean of products of neighbouring rows: what is uncorrelated from
-row to row is the sensor's noise. Rows count by how flat the voltage is there, as in the [discrepancy] of a file.
+The size of a residual is that of its slow part, the mean product of neighbouring rows: the part that is uncorrelated
+from row to row is noise of the sensor. Rows are weighted by how flat the voltage is, as in [discrepancy] of a file.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Residual holds measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
+    """Measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
 
-    The other columns are what the two may go with; `flatness` is the weight of each row, `rest` marks those at rest.
+    The other columns are variables that the two may depend on; `flatness` is the weight of each row, `rest` marks the
+    rows at rest.
     """
 
     name: str
@@ -110,7 +111,7 @@ def shape(found: list[Residual]) -> Shape:
 
 
 def _explained(error: Array, by: Array) -> float:
-    """Share of the mean square that the means of PARTS equal groups explain."""
+    """Return the share of the mean square that the means of PARTS equal groups explain."""
     group = np.searchsorted(np.quantile(by, np.arange(1, PARTS) / PARTS), by)
     means = np.array([error[group == g].mean() if (group == g).any() else 0.0 for g in range(PARTS)])
     return float(np.mean(means[group] ** 2) / max(float(np.mean(error**2)), 1e-12))

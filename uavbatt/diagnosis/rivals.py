@@ -1,9 +1,10 @@
-"""Which effects the records cannot tell apart, and who is seated in a class of three.
+"""Rival effects: how likely each is beside the best one, and which of them share a class (three at most).
 
-Were a rival the truth, the difference of the two chi-squares would be |d|², with d what the two leave differently; it
-is -behind. An error e of the battery's model turns that round by 2 e·d. What e is: the same in all records under load
-(it is one model), so that unit numbers add up to R |d|² over R records; each record's own at rest, where the voltage
-needs no model of the load; and what the file's stated errors J do, |J'd|².
+Let d be the difference of the two refits' whitened residuals. If the rival were the true cause, its chi-square would be
+smaller than that of the best by |d|²; in fact it is larger by `behind`. An error e of the battery's model changes the
+difference of the two chi-squares by 2 e·d, and its variance has three parts. Under load e is the same in all R records,
+because it comes from one model: R |d|². At rest, where the voltage does not depend on a model of the load, e is
+independent in each record: |d|². The errors J that the battery file states add |J'd|².
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from uavbatt.diagnosis.evidence import Evidence
 from uavbatt.diagnosis.problem import Problem, Refit
 
 LARGEST_CLASS = 3
-SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
-TWIN_SHARE = 0.1  # of what an effect explains: two names of it leave within that of each other
-RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth, or of how likely it is: less is no rival
-TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
-FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
-# Effects of one family are hardly told apart: two of them together only cancel each other.
+SAME = 10.0  # chi-square: two models closer than this are one; refits that have not fully converged differ a little
+TWIN_SHARE = 0.1  # share of the explained chi-square: two names of one effect differ by less
+RIVAL_SHARE = 1.0 / 3.0  # of the best effect's worth or likelihood; an effect below this share is no rival
+TEMPER = 2.0  # a sigma of the model's error counts half, because the error is not normally distributed
+FARTHEST = 30.0  # largest number of tempered sigmas: no weight becomes 0, so that weights can be divided by their sum
+# Effects of one family look much alike in a record; two of one family, added together, only cancel each other.
 FAMILIES = (
     {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
     {"current_offset", "unmetered_load"},
@@ -35,19 +36,19 @@ FAMILIES = (
 
 
 def family(name: str) -> frozenset[str]:
-    """Return the effects that are hardly told from one, itself among them."""
+    """Return the effects that look much like this one in a record, itself included."""
     return frozenset({name}).union(*(kin for kin in FAMILIES if name in kin))
 
 
 def related(new: Sequence[str], old: Sequence[str]) -> bool:
-    """Return True if one of the `new` effects is among the `old`, or one of its family, hardly told from it."""
+    """Return True if one of the `new` effects, or another of its family, is among the `old`."""
     return any(family(name) & set(old) for name in new)
 
 
 def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
-    """Return how likely each of `fits` is beside `fits[first]`, the best of its kind, which has 1.
+    """Return the likelihood of each refit relative to `fits[first]`, the best of its kind, which has 1.
 
-    Their quantities have to be as many.
+    All refits must have the same number of quantities.
     """
     best = fits[first].residual
     slopes = slopes_on_file(problem, fits[first])
@@ -65,7 +66,7 @@ def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
 
 
 def _at_rest(evidence: Evidence, width: int) -> Array:
-    """Return True if a whitened number is of the rest before take-off, [records, numbers]."""
+    """Return True for each whitened number that belongs to the rest before take-off, [records, numbers]."""
     out = np.zeros((len(evidence.names), width), dtype=bool)
     for j, volts in enumerate(evidence.volts):
         out[j, : volts.rows.size] = volts.rest
@@ -73,24 +74,26 @@ def _at_rest(evidence: Evidence, width: int) -> Array:
 
 
 def same(one: Refit, other: Refit) -> bool:
-    """Return True if two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
+    """Return True if two refits leave the same residual: two names of one effect, such as low gain and faded pack."""
     return _apart(one, other) < SAME
 
 
 def _apart(one: Refit, other: Refit) -> float:
-    """Return the chi-square between what two refits leave."""
+    """Return the chi-square between the residuals of two refits."""
     return float(np.sum((one.residual - other.residual) ** 2))
 
 
 def members_of_class(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
-    """Return the places of the refits that a class has room for: those the same as the best, then the likeliest.
+    """Return the indices of the refits that form the class, at most LARGEST_CLASS of them.
 
-    The same is what leaves within SAME of the best, and within TWIN_SHARE of what the best explains: all explanations
-    of a small effect leave nearly the same, which does not make them one.
+    First come the refits that are the same as the best one, then the likeliest others. "The same" means that the
+    residuals differ by less than SAME, and by less than TWIN_SHARE of what the best refit explains. The second limit is
+    for small effects: all explanations of a small effect leave similar residuals, and yet they are different effects.
 
-    A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
-    if these records do not tell it from the fade, in the seat of what is but another name of the fade or else of the
-    least likely. likely : how likely each is, likeliest first; before : the model without them.
+    A faded pack and a pack with a weak cell differ only in the last minute of a flight. If the class has the fade, and
+    the records do not exclude a weak cell, the weak cell joins the class. It replaces another name of the fade if there
+    is one, else the least likely member. likely : likelihood of each refit, likeliest first; before : the model without
+    the effects.
     """
     names = [f.candidate.name for f in fits]
     near = min(SAME, TWIN_SHARE * _apart(before, fits[0]))

@@ -1,7 +1,7 @@
-"""Which effect, or which two, explain the records: every single one is tried, then every promising pair as a pair.
+"""Search for the effect, or the two effects, that explain the records: first single effects, then promising pairs.
 
-An effect earns its place by its `worth` and by nothing else. Two effects are named only when each of the two earns its
-place beside the other; that the second looks like nothing as long as the first is not there is no obstacle then.
+The only criterion for an effect is its `worth`. Two effects are named only if each of them is worth enough beside the
+other. A pair is refitted as a pair, so that an effect can be found that looks like nothing while the other is missing.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ SEATED = 0.95  # of the rivals' probability: a class has room for so much of it 
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """A missing effect is known by the refits that cannot be told apart, best first, and by what they are worth."""
+    """A found effect: the refits (`members`) that the records cannot tell apart, best first, and their worth."""
 
     members: tuple[Refit, ...]
     worth: Worth
     outside: tuple[str, ...]  # the other rivals, in order
-    probability: float  # that the cause is among the members, were it one of the candidates and no chance
-    drift: Refit | None = None  # with the effect drifting within each record, where that explains much more
+    probability: float  # of the cause being among the members, if it is one of the candidates and not chance
+    drift: Refit | None = None  # the refit in which the effect drifts within each record, if that explains much more
 
     @property
     def name(self) -> str:
@@ -44,7 +44,7 @@ class FoundEffect:
 
     @property
     def steady(self) -> bool:
-        """Return True if the records agree on its value, and each of them from its beginning to its end."""
+        """Return True if the records agree on the value and the value does not drift within a record."""
         return is_steady(self.worth.constancy) and self.drift is None
 
 
@@ -99,17 +99,17 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
 
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
-    """Return the small effect that may hide where nothing is found, if the records show more than most healthy ones."""
+    """Return a small effect that may be present although none was found; None if the records look like healthy ones."""
     if not SMALL < singles.largest_worth < EARNED:
         return None
     return finding(problem, replace(singles, least=0.5 * singles.largest_worth), EVEN)
 
 
 def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
-    """Return the refit with a drift within each record that saves most, if it saves as much as a second effect has to.
+    """Return the best refit with a drift within each record, if it saves as much as a second effect would have to.
 
-    Over time the best single effect may drift, by any of its names. Over temperature the gain of the voltage may, and
-    is held against the member of the class that predicts best.
+    The best single effect, under any of its names, may drift with time. The voltage gain may drift with temperature;
+    its saving is measured against the member of the class that predicts best.
     """
     tried = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
@@ -120,15 +120,15 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
 
 
 def _that_warm(problem: Problem, singles: Trial) -> list[Refit]:
-    """The refit of the gain of the voltage, where there is a temperature that it could go with."""
+    """Return the refit of the voltage gain if the records have a temperature, else nothing."""
     known = problem.evidence.has_temperature
     return [fit for fit in singles.fits if known and fit.candidate.name == WARMS]
 
 
 def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
-    """Return a gain of the voltage that goes with the temperature as the finding, where no effect is named.
+    """Return a voltage gain that changes with temperature as the finding, for records in which no effect was found.
 
-    What it saves is then in part the file's errors', so that it has to be worth what each of two effects is.
+    Part of its saving may come from errors of the file; it must therefore be worth as much as each effect of a pair.
     """
     for fit in _that_warm(problem, singles):
         drift = drifting(problem, fit, "temperature")
@@ -139,12 +139,11 @@ def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
 
 
 def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
-    """Return the class of the rivals that cannot be told from the best, which had to be worth more than `earned`.
+    """Return the class of the rivals that the records cannot tell from the best one.
 
-    A rival is the less likely the more it differs from record to record, and a hair of steadiness decides nothing.
-
-    What is hardly worth that is as likely as not a chance: the second of two that were worth 12 to 15 was right in
-    five of eight cases.
+    The likelihood of a rival falls with the spread of its value between records; small differences of that spread have
+    little influence. `earned` is the worth that the best one had to exceed. An effect that barely exceeds it may well
+    be chance: of eight second effects with a worth of 12 to 15, five were right.
     """
     fits = [tried.fits[i] for i in tried.rivals]
     spread = np.array([c.spread if (c := tried.worths[i].constancy) else 0.0 for i in tried.rivals])
@@ -163,11 +162,12 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
 
 
 def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
-    """Return how likely it is that an effect is no chance, by what it is worth against what it had to be worth.
+    """Return the probability that an effect is not chance, from its worth and the worth that it had to exceed.
 
-    One of two is judged twice: with the errors of the file held, and with all of them at their most probable value,
-    which may leave it nothing to explain. Either view has been wrong where the other was right. What it had to be worth
-    has to come from flights no colder than those that the file's error was learned on: below, that error is a guess.
+    An effect of a pair is judged in two ways, and the mean counts, because each way was wrong in cases where the other
+    was right: with the errors of the file held fixed, and with all of them at their most probable values, which may
+    explain the effect away. The probability is limited to SUSPECT unless flights that are no colder than those which
+    the file's error was learned on give the required worth: in the cold that error is only a guess.
     """
     views = [max(its.value, 0.0)]
     if before.candidate.names:

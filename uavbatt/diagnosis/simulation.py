@@ -24,7 +24,7 @@ MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness
 
 
 class OwnValues(NamedTuple):
-    """Each record has its own start soc and its own shift [K] of start and ambient temperature, [variants, records]."""
+    """The start soc and the shifts [K] of start and ambient temperature of each record, [variants, records]."""
 
     soc: Array
     start_K: Array
@@ -32,7 +32,7 @@ class OwnValues(NamedTuple):
 
 
 class Simulated(NamedTuple):
-    """Simulated holds the readings that the sensors should show, [rows, variants, records]; soc for reports."""
+    """The simulated readings of the sensors, [rows, variants, records], and the soc for reports."""
 
     voltage_V: Array
     temp_C: Array
@@ -58,15 +58,15 @@ def _installation_of(base: Pack, evidence: Evidence, x: Array, drift: Array | No
 def _courses(stack: Stack) -> Array:
     """Return the courses along which a sensor may drift (`COURSES`), [courses, rows, records], each from -1/2 to 1/2.
 
-    Time goes from the beginning of each record to its end, temperature from the coldest reading of all records to the
-    warmest.
+    Time runs from the beginning to the end of each record, temperature from the coldest to the warmest reading of all
+    records.
     """
     length_s = np.max(np.where(stack.compare, stack.time_s, 0.0), axis=0)
     return np.stack([np.clip(stack.time_s / length_s, 0.0, 1.0) - 0.5, _warmth(stack)])
 
 
 def _warmth(stack: Stack) -> Array:
-    """Return where each row is between the coldest reading of all and the warmest, -1/2 to 1/2; 0 without a reading."""
+    """Return the place of each row between the coldest and the warmest reading, -1/2 to 1/2; 0 without a reading."""
     known = np.isfinite(stack.temp_C)
     if not np.any(known):
         return np.zeros_like(stack.temp_C)
@@ -83,8 +83,8 @@ def _warmth(stack: Stack) -> Array:
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     """Return the metered current [A], [rows, columns], read `delay_s` [columns] seconds later.
 
-    Between the shifts that are known by cubic convolution (Keys 1981): a current with corners in the delay, one of them
-    at no delay, would hold a refit there.
+    Interpolates between the known shifts by cubic convolution (Keys 1981), which is smooth in the delay: linear
+    interpolation has a corner at zero delay, and a refit would stop there.
     """
     records = len(evidence.names)
     position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 1, len(SHIFTS_S) - 2.001)
@@ -93,7 +93,7 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
     for place, weight in enumerate(_keys(position - left), start=-1):
         weights[left + place, column] = weight
-    weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # the change only: the record itself may be averaged otherwise
+    weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # only the change: the record itself may be averaged in another way
     current = np.tile(evidence.stack.current_A, (1, variants))
     for j in range(records):
         current[:, j::records] += evidence.shifted_A[:, :, j].T @ weights[:, j::records]
@@ -101,7 +101,7 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
 
 
 def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of four neighbours at a share t of the middle gap (Keys 1981, IEEE Trans. ASSP 29, eq. 15)."""
+    """Return the weights of four neighbours at a share t of the middle gap (Keys 1981, IEEE Trans. ASSP 29, eq. 15)."""
     return (
         0.5 * t * (t * (2.0 - t) - 1.0),
         0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
@@ -120,8 +120,9 @@ def simulate(
 ) -> Simulated:
     """Simulate the records with quantities x [variants, records, quantities] and with their own values.
 
-    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin); drift : [variants,
-    records, courses, quantities], what those that may drift gain along each course, x being their values in its middle.
+    walk : the function that steps the states of many columns (`openloop.states` or its compiled twin); drift :
+    [variants, records, courses, quantities], the change along each course of the quantities that may drift; x is then
+    their value in the middle of the course.
     """
     stack = evidence.stack
     variants, records = own.soc.shape
@@ -148,14 +149,14 @@ def simulate(
 
 
 def _between(rate: Array) -> Array:
-    """Rates [rows, columns] that flow before each row: a row is the mean around its time, between two flows theirs."""
+    """Return the rates [rows, columns] in the step before each row: the mean of the row and the one before it."""
     between = rate.copy()
     between[1:] = 0.5 * (rate[1:] + rate[:-1])
     return between
 
 
 def _voltages(cell: Parameters, installation: Installation, states: State, rate: Array, current_A: Array) -> Array:
-    """True voltage at the sensor's place; the weak cell is worked out only where there is one."""
+    """Return the true voltage at the sensor; the weak cell is computed only for columns that have one."""
     strong = model.cell_voltage(cell, states, rate)
     out: Array = installation.cells * strong - current_A * installation.harness_ohm
     weak = np.flatnonzero(np.asarray(installation.deficit))

@@ -1,4 +1,4 @@
-"""A trial of single effects: their worth beside what the model has, the rivals among them, and how likely each is."""
+"""A trial of single effects: the worth of each beside the effects of the model, the rivals, and their likelihoods."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL_SHARE, related, same, weights
 from uavbatt.diagnosis.worth import Worth, at_bound, worth
 
-EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
-RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
+EARNED_EACH = 3.5  # least worth of each of two if no single effect explains the flights; half of it: a rival
+RESIZED = 0.25  # prior of another size of an effect in the file, relative to an effect that the file lacks
 FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Trial tells what each single effect is worth beside what the model has."""
+    """The worth of each single effect beside the effects of the model."""
 
     before: Refit
     fits: tuple[Refit, ...]  # by chi-square
@@ -29,20 +29,20 @@ class Trial:
 
     @property
     def largest_worth(self) -> float:
-        """Return the largest worth of all that do not stand at a bound; 0 if all do."""
+        """Return the largest worth of the effects that do not stand at a bound; 0 if all do."""
         return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
 
     @property
     def rivals(self) -> list[int]:
-        """Return the places of those that could be the cause if there is one, by chi-square.
+        """Return the indices of the effects that could be the cause, if there is one, by chi-square.
 
-        They need not earn their place alone.
+        A rival need not be worth enough alone.
         """
         places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.largest_worth)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
-        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
-        # if that is not the same as nothing.
+        # An effect that explains more than these is a rival too. So is another name of the best of them, unless it
+        # leaves the same residual as no effect at all.
         first = worthy[0] if worthy else -1
         return [
             i
@@ -57,9 +57,10 @@ class Trial:
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
-    """Try every option beside what `before` has.
+    """Try every option beside the effects of `before`.
 
-    turns : iterations of the refits; known : the refit that one of them is known to end in, where that one starts.
+    turns : iterations of the refits; known : a refit in which one of the options is known to end; that one starts
+    there.
     """
     free = [o for o in options if not related(o.names, before.candidate.names)]
     tried = [before.candidate.plus(o) for o in free]
@@ -70,10 +71,10 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int,
 
 
 def likeliness(problem: Problem, fits: list[Refit]) -> Array:
-    """Return how likely each of `fits` is, which come by chi-square.
+    """Return the likelihood of each of `fits`, which are ordered by chi-square.
 
-    Another size of what the file has leaves least by its ease of bending; where it is not the likeliest all the same,
-    the others are held against the best of themselves and not against it.
+    An effect of the file with another size often leaves the least chi-square because it is the easiest to bend. If it
+    is not the likeliest after its prior, the other effects are compared with the best among themselves.
     """
     usual = np.array([RESIZED ** len(f.candidate.resized) for f in fits])
     likely: Array = weights(problem, fits) * usual

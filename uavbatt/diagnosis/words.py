@@ -1,6 +1,4 @@
-"""Words for a crew chief about what to do next: what each effect means, and the reading that tells it from its
-rivals.
-"""
+"""Words for a crew chief: what each effect means, what to do next, and which reading tells it from its rivals."""
 
 from __future__ import annotations
 
@@ -75,11 +73,11 @@ QUANTITY = {
     "diffusion_activation_K": "growth of the diffusion in the cold",
 }
 
-SHARES = {"fade", "deficit", "growth"}  # people read these as percent
+SHARES = {"fade", "deficit", "growth"}  # shown in percent
 
 
 def separating(members: tuple[str, ...], outside: str | None) -> str:
-    """Say which readings tell the members apart; for a lone member, which one confirms it."""
+    """Say which readings tell the members apart; for a single member, which reading confirms it."""
     if len(members) > 1:
         return "; ".join(f"{name}: {CHECK[name]}" for name in members)
     against = f" (against {outside})" if outside else ""

@@ -1,11 +1,12 @@
-"""Worth of an effect: the one unit in which every decision is taken.
+"""Worth of an effect: the unit of every decision of the diagnosis.
 
     worth = (chi-square saved on records left out) · (variance of the estimate / variance with the file's errors)
 
-The first factor says how much better a record is predicted with the value that the others give, in whitened model
-error. The second says how much of it an error that the battery file itself states could not feign. Both follow from
-the refit's own quadratic: with b_j half the descent of record j's chi-square at the common optimum and A_j its
-information, the optimum of the others is off by d_j = -(A - A_j)^-1 b_j, and record j loses
+The first factor measures how much better a record is predicted with the effect's value from the other records, in units
+of the whitened model error. The second factor is the share that the errors stated in the battery file cannot imitate.
+Both follow from the refit's quadratic approximation. With b_j half the negative gradient of record j's chi-square at
+the common optimum and A_j its information matrix, the optimum of the other records is shifted by
+d_j = -(A - A_j)^-1 b_j, and the chi-square of record j becomes
 
     chi2_j(left out) = chi2_j - 2 b_j'd_j + d_j'A_j d_j
 
@@ -23,16 +24,17 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
-DOUBTS = 6.0  # standard errors, those of the file considered: a spread of two of them is no inconstancy
-UNSTEADY = 0.35  # spread between records, relative to the value: an sd, and the most that is called steady
-WEAK = 0.05  # information that stands for the prior where the other records tell nothing of a quantity
+DOUBTS = 6.0  # standard errors (errors of the file included): a spread of two of them still counts as steady
+UNSTEADY = 0.35  # spread (sd) between records, relative to the value: the largest that is called steady
+WEAK = 0.05  # information of the prior, used where the other records say nothing about a quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Constancy:
-    """Constancy tells how far the records agree on an effect's first quantity (Cochran's Q, as a spread).
+    """Constancy tells how well the records agree on an effect's first quantity (Cochran's Q, as a spread).
 
-    The spread is the sd between records, relative to the change or to what errors of the file make of nothing.
+    The spread is the sd between records, relative to the change of the quantity, or to the change that errors of the
+    file alone can cause if that is larger.
     """
 
     values: Array  # each record's own
@@ -41,25 +43,25 @@ class Constancy:
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """Worth holds the evidence for one effect of a refit, over the model without it."""
+    """The evidence for one effect of a refit, compared with the model without it."""
 
-    gains: Array  # chi-square saved on each record by the values that the others give
-    most: float  # what the refit saves where nothing is left out: what only steadies the rest is not the effect's
-    known: float  # share of the estimate's variance that is not the file's own errors
+    gains: Array  # chi-square saved on each record with the values from the other records
+    most: float  # chi-square saved with no record left out; the worth cannot be more than that
+    known: float  # share of the estimate's variance that does not come from errors of the file
     constancy: Constancy | None  # None where each record has its own value anyway
 
     @property
     def value(self) -> float:
-        """Return the chi-square saved on records left out that errors of the file could not feign."""
+        """Return the chi-square saved on left-out records that errors of the file cannot imitate."""
         return self.on(np.ones(len(self.gains), dtype=bool))
 
     def on(self, some: NDArray[np.bool_]) -> float:
-        """Return the worth on some of the records alone."""
+        """Return the worth on a selection of the records."""
         return min(float(np.sum(self.gains[some])), self.most) * self.known
 
 
 def at_bound(fit: Refit) -> bool:
-    """Return True if a quantity ran into the end of what is physical: then it stands for something else."""
+    """Return True if a quantity stands at a physical bound: then the effect stands in for another cause."""
     return any(
         value > f.high - 1e-3 * (f.high - f.low)
         or (value < f.low + 1e-3 * (f.high - f.low) and abs(f.low - f.start) > 1e-3 * (f.high - f.low))
@@ -68,24 +70,24 @@ def at_bound(fit: Refit) -> bool:
 
 
 def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
-    """Return what an effect of the refit is worth over `before`, which lacks it; the one added last if not named."""
+    """Return the worth of an effect of the refit over `before`, which lacks it. The default is the last one added."""
     name = name or fit.candidate.name
     gains = left_out_chi2(before) - left_out_chi2(fit)
-    if name == "initial_charge":  # what the records' own starts save says nothing of a start that they share
+    if name == "initial_charge":  # the saving of each record's own start says nothing about the shift that all share
         k = fit.quantities[fit.candidate.slice_of(name)][0]
         gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
     return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name))
 
 
 def known_share(fit: Refit, name: str) -> float:
-    """Return the share of an effect's variance that is not the file's own errors, of its best known quantity."""
+    """Return the share of an effect's variance that is not due to errors of the file, for its best known quantity."""
     its = fit.candidate.slice_of(name)
     alone, considered = (np.diagonal(fit.covariance_u(considered=c))[its] for c in (False, True))
     return float(np.max(alone / considered))
 
 
 def _free(fit: Refit) -> Rows:
-    """Columns that the fit moves and that do not stand at a bound."""
+    """Return the columns that the fit moves and that do not stand at a bound."""
     low, high = np.array([f.bounds_u() for f in fit.columns]).T.reshape(2, -1)
     inside = (fit.u[0] > low + 1e-6) & (fit.u[0] < high - 1e-6)
     free: Rows = np.flatnonzero(fit.moves[: len(fit.columns)] & inside)
@@ -93,7 +95,7 @@ def _free(fit: Refit) -> Rows:
 
 
 def shifts_u(fit: Refit) -> Array:
-    """Return how far the optimum of the other records is from the common one, [records, columns]."""
+    """Return the shift from the common optimum to the optimum of the other records, [records, columns]."""
     out = np.zeros_like(fit.u)
     free = _free(fit)
     if len(out) < 2 or not free.size:
@@ -105,9 +107,9 @@ def shifts_u(fit: Refit) -> Array:
 
 
 def left_out_chi2(fit: Refit) -> Array:
-    """Return the chi-square of each record with the values that the others give.
+    """Return the chi-square of each record, predicted with the values from the other records.
 
-    With one record only it is the record's own and two for each quantity.
+    For a single record it is the record's own chi-square plus two for each quantity.
     """
     free = _free(fit)
     if len(fit.chi2) < 2:
@@ -119,7 +121,7 @@ def left_out_chi2(fit: Refit) -> Array:
 
 
 def left_out_values(problem: Problem, fit: Refit) -> list[Array]:
-    """Return per record the values of the quantities that the other records give."""
+    """Return, for each record, the values of the quantities from the other records."""
     u = fit.u + shifts_u(fit)
     places = zip(fit.quantities, fit.candidate.freed, strict=True)
     columns = [f.value(u[:, k]) for k, f in places]
@@ -127,9 +129,9 @@ def left_out_values(problem: Problem, fit: Refit) -> list[Array]:
 
 
 def constancy(fit: Refit, name: str) -> Constancy | None:
-    """Compare the records' own values of an effect's first quantity, all else as it is.
+    """Compare the records' own values of an effect's first quantity, all other quantities held.
 
-    Returns None with one record only, and for a start, of which each record has its own anyway.
+    Returns None for a single record, and for the start of charge, which is different in each record anyway.
     """
     if len(fit.chi2) < 2 or name == "initial_charge":
         return None
@@ -147,5 +149,5 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
 
 
 def is_steady(found: Constancy | None) -> bool:
-    """Return True if the records agree on the value, or each has its own anyway."""
+    """Return True if the records agree on the value, or if there is nothing to compare."""
     return found is None or found.spread <= UNSTEADY

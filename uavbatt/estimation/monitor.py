@@ -1,9 +1,9 @@
 """The monitor checks whether readings and belief still fit each other; it is a value that is replaced at each row.
 
-A filter explains whatever it is given. So what it had to assume is compared with what is possible: a discrepancy far
-outside its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands
-still. Each has its words: `doubts` make an `ok` estimate `converging`, `refusal` makes it `refused`, and `remarks` are
-warnings only.
+A filter finds an explanation for any data. The monitor compares this explanation with what is possible. It looks for a
+discrepancy far outside its prior, for innovations that stay too large, for a pack that holds much less than stated, and
+for a sensor that is stuck. Each case has its words: `doubts` make an `ok` estimate `converging`, `refusal` makes it
+`refused`, and `remarks` are warnings only.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ from uavbatt.estimation.sensors import (
 from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS, LOST_SDS = 3.0, 5.0
-FAR_REACTION_V = 0.1  # a cell, either way: twice what the electrodes of a pack take that has lost a sixth of its charge
+FAR_REACTION_V = 0.1  # per cell, in both directions: twice the value of a pack that has lost a sixth of its charge
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S = 60.0, 5.0, 60.0
-SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # that one value stands for: the first, and one after a gap
-LARGEST_NIS = 25.0  # a single row that is far off is no misfit of a minute
-SMALL_PACK, FAR_SMALLER, FAR_LARGER, SURE_SDS = 0.9, 0.7, 1.25, 1.5  # shares of what is stated, surely so
-FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
-SETTLED_SHARE = 0.2  # of the capacity believed: known to less, the time left is known to a factor of two at best
+SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # time that one value counts for: the first value, and one after a gap
+LARGEST_NIS = 25.0  # limit of a single row, so that one outlier does not count as a misfit of a minute
+SMALL_PACK, FAR_SMALLER, FAR_LARGER, SURE_SDS = (
+    0.9,
+    0.7,
+    1.25,
+    1.5,
+)  # shares of the stated capacity; sds
+FAR_MORE_OHMS = 3.5  # times the resistance of a new pack of the stated size: packs in use reach three
+SETTLED_SHARE = 0.2  # largest sd of the capacity, relative: beyond, the time left is known to a factor of two
 
 STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
 STUCK_CURRENT = "the current has not moved for half a minute, as it does in flight: a stuck sensor?"
@@ -46,9 +51,9 @@ MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad c
 
 
 class Innovations(NamedTuple):
-    """Innovations follows the mean of the normalised innovation squared over about a minute.
+    """The mean of the normalised innovation squared over about a minute.
 
-    high_since_s : since when that is too large [s], NaN while it is not; time_s : time of the last block [s].
+    high_since_s : the time since which it is too large [s], NaN while it is not; time_s : time of the last block [s].
     """
 
     mean: float = 0.0
@@ -56,7 +61,7 @@ class Innovations(NamedTuple):
     time_s: float = math.nan
 
     def after(self, time_s: float, nis: float) -> Innovations:
-        """Return the same with one more block of rows, which counts for the time since the last."""
+        """Return the mean with one more block of rows, which counts for the time since the last one."""
         passed_s = time_s - self.time_s if math.isfinite(self.time_s) else SHORTEST_NIS_S
         keep = math.exp(-min(max(passed_s, 0.0), LONGEST_NIS_S) / NIS_TAU_S)
         mean = keep * self.mean + (1.0 - keep) * min(nis, LARGEST_NIS)
@@ -66,14 +71,14 @@ class Innovations(NamedTuple):
 
 
 class Monitor(NamedTuple):
-    """The monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
+    """The readings seen so far, and the doubts and refusals that follow from them."""
 
     readings: SinceMoved = SinceMoved()
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
-    reaction_V: float = 0.0  # what this pack's electrodes take beyond those of its type
-    is_settled: bool = False  # the capacity of a pack that is not what is stated has become known well enough
+    reaction_V: float = 0.0  # drop of this pack's reaction beyond that of its type
+    is_settled: bool = False  # the capacity of a pack that differs from the statement has become known well enough
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -87,24 +92,24 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         innovations, off_sds, reaction_V = self.innovations, self.off_sds, self.reaction_V
-        if math.isfinite(estimate.nis):  # a block is closed: between two of them nothing new is known of these
+        if math.isfinite(estimate.nis):  # a block has been closed: these change only then
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
             reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
         stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
         stuck_current_s = readings.stuck_current_s(capacity_Ah)
-        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # it holds surely less
-        least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # it has surely more
+        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # upper limit of its capacity
+        least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # lower limit of its resistance
         least = estimate.capacity_scale - SURE_SDS * estimate.capacity_scale_sd
-        is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # no wear explains so much
+        is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # more than wear can explain
         is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         is_settled = (is_small or is_ohmic) and is_known
         is_far = abs(off_sds) > FAR_SDS or abs(reaction_V) > FAR_REACTION_V
-        found = (  # words, are they a doubt, do they refuse the number
+        found = (  # (words, True for a doubt, True for a refusal)
             (STUCK_VOLTAGE, stuck_voltage_s >= STUCK_S, stuck_voltage_s >= REFUSED_STUCK_S),
             (STUCK_CURRENT, stuck_current_s >= STUCK_S, stuck_current_s >= REFUSED_STUCK_S),
             (DEAD_CURRENT, False, time_s - load.gone_since_s >= DEAD_S),
             (UNFITTING, time_s - innovations.high_since_s >= NIS_AFTER_S, False),
-            (FAR_OFF, is_far, off_sds < -LOST_SDS),  # too much voltage for the charge harms nobody
+            (FAR_OFF, is_far, off_sds < -LOST_SDS),  # too much voltage for the charge is harmless
             (SMALL, is_small, is_small and not is_settled),
             (LARGE, least > FAR_LARGER, False),
             (MANY_OHMS, is_ohmic, is_ohmic and not is_settled),

@@ -1,6 +1,6 @@
 """Uncertainty of the start, of the model's steps and of the readings: every number with its reason.
 
-All per cell and per C, so that they hold for any pack. Variances are returned ready for the filter.
+All numbers are per cell and per C, so that they hold for any pack. The functions return variances for the filter.
 """
 
 from __future__ import annotations
@@ -21,39 +21,40 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.limits import AMBIENT_C
 
-# A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
+# A rested reading: 5 mV a cell for scale and calibration of the sensor, 5 mV for a pack that has not fully relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
-# Under load, before the pack has shown itself, the drop is known to half of itself.
+# Under load, in the first row, the voltage drop is known to half of its size.
 UNSEEN_SHARE, OVERPOTENTIAL_SD_V, LOADED_SOC_SD = 0.5, 0.003, 0.15
 ROUNDS = 6
 UNKNOWN_TEMP_SD_K = 10.0
-# The row's current stands for an interval in which the load moved: 6 % of the charge for rows 1 s apart or
-# less (averaging logger), 15 % when a row comes every 10 s or slower (a snapshot of a gusty load).
+# The current of a row stands for an interval in which the load changed: the charge is uncertain by 6 % for rows 1 s
+# apart or less (averaging logger), by 15 % for rows 10 s apart or more (snapshots of a gusty load).
 SNAPSHOT_SHARE = (0.06, 0.15)
-# Slow scales wander: resistance and capacity 1 % over ten minutes (state of health does not change in a
-# flight; what changes is how far the model's R(soc, T) and OCV are from the pack's).
+# The scales of resistance and capacity wander by 1 % in ten minutes. The state of health does not change in a flight,
+# but the error of the model's R(soc, T) and OCV does.
 RESISTANCE_WALK_PER_S = 0.01**2 / 600.0
 CAPACITY_WALK_PER_S = 0.01**2 / 600.0
 LONGEST_GAP_S = 60.0
 OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
-# Worn packs and missions of the simulators, whose air is their first temperature, reach 0.8 sds, one of 44 1.02; packs
-# that come 10 K warmer into the air reach 1.3 and more.
+# Worn packs, and simulated missions whose air has the pack's first temperature, reach 0.8 sds (one of 44: 1.02). Packs
+# that are 10 K warmer than the air at take-off reach 1.3 and more.
 AIR_OFF_SDS, AIR_TAU_S = 1.1, 30.0
-# The air moves by so much a second for each kelvin. With a quarter of it packs that come warm into the cold are still
-# given twice the time; with twice as much it swings by 15 K.
+# Change of the air temperature per second and per kelvin of error. With a quarter of this gain, warm packs in cold air
+# are still predicted twice their remaining time; with twice the gain the temperature oscillates by 15 K.
 AIR_GAIN_PS, LONGEST_AIR_STEP_S = 0.2, 10.0
 
-# What a load made of the discrepancy leaves with it, as overpotentials do. While these go, faster or slower than those
-# of the file, they tell nothing of the capacity. Else a pack that landed nearly empty is believed three times as full.
+# The part of the discrepancy that a load causes disappears after the load, like overpotentials. They decay faster or
+# slower than in the battery file, so that the voltage says nothing about the capacity in this time. Without this rule a
+# pack that landed nearly empty is believed to be three times as full.
 SETTLING_S, SETTLED_AFTER_S = 30.0, 60.0
 
 VOLTAGE_SD_V = 0.004
-# Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first
-# seconds of a load a cell is not as one lag has it (10 to 20 mV a cell at 2.7 C for 5 s). With less noise, what the
-# reaction takes is told as ohms; with twice as much, nothing is gained.
+# Noise as a multiple of the increase of the reaction's voltage drop since the last block. The curvature of that drop is
+# a third of it, and in the first seconds of a load a cell does not follow a single lag (10 to 20 mV a cell at 2.7 C for
+# 5 s). With less noise the drop of the reaction is taken for resistance; twice the noise brings no gain.
 JUMP_SHARE = 2.0
-# An autopilot's own compensation is as good as its guess of the resistance.
+# The compensation of an autopilot is as good as its estimate of the resistance.
 COMPENSATED_SHARE = 0.35
 
 
@@ -67,7 +68,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class First(NamedTuple):
-    """First holds the first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """The first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array
@@ -98,7 +99,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
         read = initial_state.charge_at(cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
     mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
-    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
+    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage has some information, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return First(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 
@@ -145,25 +146,25 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
 
 
 def since_load_after(since_load_s: float, rate_c: float, dt_s: float) -> float:
-    """Return for how long a pack has rested since its last load [s], after `dt_s` [s] at a C-rate; NaN before any."""
+    """Return the time since the last load [s], after `dt_s` [s] at a C-rate; NaN before the first load."""
     return 0.0 if abs(rate_c) > IDLE_C_RATE else since_load_s + dt_s
 
 
 def is_settling(since_load_s: float) -> bool:
-    """Return True if a load has just gone, so that the voltage still moves by overpotentials of no known make."""
+    """Return True shortly after a load, when unknown overpotentials still move the voltage."""
     return 0.0 < since_load_s < SETTLED_AFTER_S
 
 
 def rested_variance(pack: Pack, soc: Number) -> Number:
-    """Return the variance [V²] of the discrepancy of a cell at rest: what its open-circuit voltage is not known to."""
+    """Return the variance [V²] of the discrepancy of a cell at rest: the error of its open-circuit voltage."""
     return (pack.rested_share[0] * pack.bias_sd_V) ** 2 + b.at_charge(pack.ocv_sd_V, soc) ** 2
 
 
 class Air(NamedTuple):
-    """Air holds the temperature of the air around the pack [°C], how far off it looks, and if it is known to be off.
+    """The temperature of the air around the pack [°C], its apparent error, and if it is known to be wrong.
 
-    off_sds : by how much the pack is warmer than expected, in standard deviations, smoothed; NaN where somebody stated
-    the temperature of the air, which is then believed.
+    off_sds : the excess of the pack's temperature over the expected one, in standard deviations, smoothed; NaN if the
+    user stated the temperature of the air, which is then used as it is.
     """
 
     ambient_C: float
@@ -172,16 +173,16 @@ class Air(NamedTuple):
 
 
 def first_air(ambient_C: float, is_stated: bool) -> Air:
-    """Return the air at a temperature [°C] that is stated, or assumed until the readings say otherwise."""
+    """Return the air at a temperature [°C] that is stated, or assumed until the readings contradict it."""
     return Air(ambient_C, math.nan if is_stated else 0.0)
 
 
 def air_after(air: Air, warmer_K: float, sd_K: float, dt_s: float) -> Air:
     """Return the air after a block of `dt_s` [s] whose pack is `warmer_K` [K] than expected, known to `sd_K`.
 
-    The air begins as the pack's own first temperature. Of a pack that was kept warm this is far off: it cools, and the
-    filter would blame its voltage. So once the readings are off for half a minute, they move the air; before that they
-    tell how the pack heats itself, which is what a worn one shows.
+    At the start the air is assumed to have the pack's first temperature. For a pack that was kept warm this is wrong:
+    the pack cools, and the filter would take that for an error of the voltage. Therefore the readings move the air once
+    they have been off for half a minute. Before that they are taken as self-heating of the pack, as a worn pack shows.
     """
     step_s = min(dt_s, LONGEST_AIR_STEP_S)
     keep = math.exp(-step_s / AIR_TAU_S)
@@ -194,7 +195,7 @@ def air_after(air: Air, warmer_K: float, sd_K: float, dt_s: float) -> Air:
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:
-    """Return the resistance at once [ohm·Ah] of the pack that is believed in, without the harness."""
+    """Return the instantaneous resistance [ohm·Ah] of the believed pack, without the harness."""
     cell = grown(pack.cell, pack.installation)
     return model.resistance(cell, mean[X.SOC], mean[X.CORE]) * np.exp(mean[X.LOG_RESISTANCE])
 
@@ -202,9 +203,9 @@ def scaled_resistance(pack: Pack, mean: Array) -> Number:
 def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:
     """Return the process noise [V²] of an overpotential whose ratio to the resistance is known only to `share`.
 
-    The overpotential is wrong by that share of itself, so that its error grows while it moves. While it stands still
-    its error does too, and belongs to the discrepancy. The belief about it counts as far as the load explains it:
-    else the overpotential would grow by its own doubt and hide the knee of an emptying pack.
+    The overpotential is wrong by that share of its size, so that its error grows only while it changes. A constant
+    error belongs to the discrepancy. The overpotential counts only as far as the load explains it: otherwise it would
+    grow through its own uncertainty and hide the knee of an emptying pack.
     """
     now_V = np.minimum(np.abs(overpotential_V), settled_V)
     moved_V = np.abs(settled_V - now_V) * -np.expm1(-dt_s / tau_s)
@@ -214,9 +215,9 @@ def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: flo
 def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> Number:
     """Return the variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new.
 
-    mean : the belief, [9] or [9, members]; step_A : what the current [A] is more than in the row or block before. In a
-    block in which the motors start, a drop that saturates is not, at the mean current, the mean of the rows' drops:
-    what a reaction takes more than before counts as noise, JUMP_SHARE of it.
+    mean : the belief, [9] or [9, members]; step_A : increase of the current [A] since the row or block before. The drop
+    of a reaction saturates: in the block in which the motors start, the drop at the mean current is not the mean of the
+    rows' drops. Therefore JUMP_SHARE of the increase of that drop counts as noise.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.present_capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
     slow_V = pack.cell.transfer_V + pack.reaction_sd_V
@@ -226,7 +227,7 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
 
 
 def _reaction_V(pack: Pack, full_V: float, rate_c: float) -> Number:
-    """Return the drop at a C-rate [1/h] of a reaction that takes `full_V` [V] at a large load [V]."""
+    """Return the drop [V] at a C-rate [1/h] of a reaction whose drop is `full_V` [V] at a large load."""
     return model.transfer_drop(pack.cell._replace(transfer_V=full_V), rate_c)
 
 

@@ -1,13 +1,13 @@
 """The detector of a pack that was changed on the ground; it is a value that is replaced at each row.
 
-A pack is changed on the ground, and the telemetry is silent meanwhile. After a silence the voltage that the old pack
-can show at rest has two bounds. The upper one: it rested all along, so the open-circuit voltage at its last charge.
-The lower one: the load went on to the end of the silence, and the overpotentials are still there. When the rested
-voltage is outside these bounds for several rows, it is another pack. After a silence of minutes the old pack would
-have settled, so both bounds are close to its predicted voltage. An idle load on the ground does not hide that, and the
-autopilot's counter that has fallen tells another pack as well, unless the flight evidently went on. Without a silence
-three things tell another pack: a fall of the rested voltage (a pack at rest only rises), and, once it rises slowly, a
-leap of it or far too much voltage.
+A pack is changed on the ground, usually while the telemetry is silent. After a silence, the rested voltage of the old
+pack has two bounds. Upper bound: the pack rested all the time, so the open-circuit voltage at its last charge. Lower
+bound: the load continued to the end of the silence, and the overpotentials are still present. If the rested voltage is
+outside these bounds for several rows, the pack is another one. After a silence of minutes the old pack would have
+settled, so that both bounds are close to its predicted voltage, also with an idle load on the ground. A charge counter
+of the autopilot that has fallen also shows another pack, unless the flight evidently continued. Without a silence,
+three observations show another pack: a fall of the rested voltage (at rest it only rises) and, once the voltage rises
+slowly, a sudden rise or a voltage far too high.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 # A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
-NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
+NO_PACK_CELL_V = 2.0  # the autopilot has another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # below it the ground may draw; the first rows after a silence show whose pack it is
-COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # nobody changes a pack and takes off within a minute
+COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
 class Bounds(NamedTuple):
-    """Bounds bounds the voltage that the believed pack can show at rest, per cell [V]."""
+    """The lowest and highest voltage that the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
 
 
 class Silence(NamedTuple):
-    """Silence keeps what tells the old pack from another after a silence that was over at `over_s` [s].
+    """The data that tell the old pack from another one after a silence that ended at `over_s` [s].
 
     counted_Ah : the autopilot's counter before it [Ah]; may_fly_on : it is short and began under a load that flies, and
     the first row after it is as the old pack would be.
@@ -58,12 +58,12 @@ class Silence(NamedTuple):
         return not self.rested.low_V <= cell_V <= self.rested.high_V
 
     def has_restarted(self, consumed_Ah: float) -> bool:
-        """Return True if the counter [Ah] fell: the autopilot started anew."""
+        """Return True if the counter [Ah] has fallen: the autopilot was restarted."""
         return consumed_Ah < self.counted_Ah - COUNTER_SLACK_AH
 
 
 class SwapWatch(NamedTuple):
-    """SwapWatch keeps the last row with a pack in the aircraft, and how many rows in turn have shown another pack.
+    """The last row with a pack in the aircraft, and the number of consecutive rows that have shown another pack.
 
     seen_s, current_A, consumed_Ah, belief : time [s], current [A], counter [Ah] and belief of that row.
     """
@@ -132,13 +132,13 @@ class SwapWatch(NamedTuple):
         return self._replace(silence=silence) if silence and _is_on_ground(silence, sample, pack) else self
 
     def _drop_V(self, pack: Pack, current_A: float) -> float:
-        """Return what a current takes of the pack's voltage at once [V], by the last belief."""
+        """Return the instantaneous voltage drop of the pack under a current [V], by the last belief."""
         assert self.belief is not None
         x = self.belief.mean
         return float(b.voltage(pack, x, 0.0) - b.voltage(pack, x, current_A))
 
     def _silence(self, sample: Sample, row: Innovation, pack: Pack) -> Silence:
-        """Return what is known of the old pack after the silence that ends with this row."""
+        """Return the data about the old pack at the end of a silence, which ends with this row."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         gap_s, expected_V = sample.time_s - self.seen_s, row.expected_V
         if self.belief is not None and abs(sample.current_A) >= RESTED_C_RATE * capacity_Ah:

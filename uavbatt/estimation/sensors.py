@@ -6,21 +6,22 @@ import math
 from typing import NamedTuple
 
 STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
-# An emptying cell falls by at least so much per unit of charge; a voltage that must have fallen by three of its own
-# smallest steps and by 10 mV, and did not move, is stuck.
+# The voltage of a cell falls by at least LEAST_FALL_V per unit of charge. A voltage is stuck if it has not moved
+# although it must have fallen by three of its own smallest steps and by 10 mV.
 LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
-COARSEST_STEP_V = 0.1  # of a voltmeter that has not shown its smallest step yet
-# A cell's voltage that goes down and up by so much, several times, follows a current that changes.
+COARSEST_STEP_V = 0.1  # assumed for a voltmeter that has not shown its smallest step yet
+# If the voltage of a cell has gone down and up by this much several times, the current must have changed.
 TURN_CELL_V, TURNS = 0.012, 6
-# A current is stuck when it should have moved so many times since its last change, by the share of rows in which it
-# used to move (`habit`, over about a hundred rows). On the ground, below a tenth of 1 C, it may well stand still.
+# A current is stuck if it should have changed this many times since its last change. The expected number follows from
+# the share of rows in which it usually changes (`habit`, over about a hundred rows). On the ground, below a tenth of
+# 1 C, a constant current is normal.
 MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
 LOADED_C_RATE = 0.4
 DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
 
 
 class Still(NamedTuple):
-    """Still follows one reading since its last change.
+    """One reading since its last change.
 
     value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
     so far; habit : the share of rows in which it changed.
@@ -47,7 +48,7 @@ class Still(NamedTuple):
 
 
 class SinceMoved(NamedTuple):
-    """SinceMoved follows voltage and current since they last changed, the charge drawn then, the voltage's turns."""
+    """Voltage and current since their last changes, the charge drawn since, and the turns of the voltage."""
 
     time_s: float = math.nan
     voltage: Still = Still()
@@ -71,13 +72,13 @@ class SinceMoved(NamedTuple):
         return SinceMoved(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
 
     def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
-        """Return how long the voltage has stood still although the charge drawn must have moved it [s]; 0 if sound."""
+        """Return how long the voltage is constant although the charge drawn must have moved it [s]; 0 if sound."""
         step_V = min(self.voltage.step, COARSEST_STEP_V)
         must_V = LEAST_FALL_V * cells * self.drawn_Ah / capacity_Ah
         return self.voltage.age_s(self.time_s) if must_V > max(STUCK_STEPS * step_V, STUCK_V) else 0.0
 
     def stuck_current_s(self, capacity_Ah: float) -> float:
-        """Return how long the current has stood still against its habit or the voltage's turns [s]; 0 if sound."""
+        """Return how long the current has been constant against its habit or the voltage's turns [s]; 0 if sound."""
         missed = self.current.rows * self.current.habit if self.current.value > STILL_C_RATE * capacity_Ah else 0.0
         is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0

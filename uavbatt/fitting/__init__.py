@@ -1,1 +1,1 @@
-"""Battery and vehicle files are fitted here to bench tests and flights."""
+"""Fits of battery and vehicle files to bench tests and flights."""

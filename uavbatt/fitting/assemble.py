@@ -14,7 +14,7 @@ from uavbatt.fitting.prior import Slot
 
 
 def rounded(value: float, digits: int = 6) -> float:
-    """Return a value to so many significant digits: what the data can carry, and what a person can compare."""
+    """Return a value rounded to so many significant digits."""
     return float(f"{value:.{digits}g}")
 
 
@@ -63,10 +63,10 @@ def effect_entries(
 def discrepancy(stack: Stack, trajectory: Trajectory, cells: int, *, held_out: bool, source: str) -> Discrepancy:
     """Measure the model's error on these records: bias, RMSE and correlation time of voltage; RMSE of temperature.
 
-    cells : of the pack that it is told for; records of other packs are scaled to it
+    cells : cells of the pack for which it is stated; records of other packs are scaled to it
 
-    The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
-    Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.
+    The RMSE is that of the slow part: the part that is uncorrelated from row to row is noise of the sensor. Rows are
+    weighted by how flat the voltage is (`Stack.sigma_V`), because near the end an error of volts is one of seconds.
     """
     bias, squares, lagged, temps = [], [], [], []
     for j in range(len(stack.names)):

@@ -1,4 +1,4 @@
-"""`uavbatt fit`: one battery file from bench tests, from flights, or from both, and what they could not tell."""
+"""`uavbatt fit`: one battery file from bench tests, from flights, or from both, and what they do not determine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s"
 
 @dataclass(frozen=True, slots=True)
 class RecordedPack:
-    """RecordedPack holds the size of the pack that the records are of, and the voltage that ends a flight [V]."""
+    """RecordedPack holds the size of the pack of the records, and the voltage that ends a flight [V]."""
 
     name: str
     cells: int
@@ -48,8 +48,8 @@ class RecordedPack:
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
-    """Fitted holds the battery file (not sealed) and, in words, what the data tell, do not tell and make doubtful."""
+class FittedBattery:
+    """FittedBattery holds the battery file, not sealed yet, and what the data show, do not show or make doubtful."""
 
     file: BatteryFile
     known: tuple[str, ...]
@@ -59,7 +59,7 @@ class Fitted:
 
 def fit_battery(
     size: RecordedPack, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
-) -> Fitted:
+) -> FittedBattery:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
     flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
@@ -99,14 +99,14 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    return Fitted(file, _known(found), unknown, doubtful)
+    return FittedBattery(file, _known(found), unknown, doubtful)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
-    """The effects to fit, and what each record may have of its own: bench tests come first.
+    """Return the effects to fit, and the spread of each record's own values; bench tests come first.
 
-    Only a slow, even load beside a load that changes tells the reaction at the electrodes from the other resistances;
-    there it earns its place on flights that were left out (docs/diagnosis.md).
+    Only a slow, even load together with a changing load separates the reaction at the electrodes from the other
+    resistances; there it improves the prediction of flights that were left out (docs/diagnosis.md).
     """
     if tests and flights:
         return (*prior.BASE_EFFECTS, "charge_transfer"), [solve.SAMPLES] * tests + [OwnPrior()] * flights
@@ -116,9 +116,10 @@ def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]
 def size_of(
     name: str, datasets: list[DataSet], flights: list[Flight], cells: int | None, capacity_Ah: float, cutoff_V: float
 ) -> RecordedPack:
-    """Return the pack's size by the options, else the data sets, else the vehicles; raises UsageError when nobody says.
+    """Return the pack's size by the options, else the data sets, else the vehicles.
 
-    What the voltages deny is refused of the caller and left out of a vehicle (`limits`): UsageError for the caller's.
+    Raises UsageError if none of them states it, and for options that the voltages contradict (`limits`). Statements of
+    a vehicle that the voltages contradict are ignored.
     """
     known_cells = [d.cells_series for d in datasets] + [n for f in flights if (n := _flown_cells(f)) is not None]
     series = cells or next(iter(known_cells), None)
@@ -138,7 +139,7 @@ def size_of(
 
 
 def _flown_cells(flight: Flight) -> int | None:
-    """The count of cells that a vehicle states, if its first voltages do not deny it."""
+    """Return the cells that a vehicle states, unless its first voltages contradict them."""
     cells = flight.facts_at(np.inf).cells_series
     doubt = cells_doubt(cells, first_seen(flight.samples), Resting()) if cells else None
     return None if doubt is not None and doubt.is_certain else cells
@@ -147,7 +148,7 @@ def _flown_cells(flight: Flight) -> int | None:
 def _check_caller(
     cells: int | None, cutoff_V: float, series: int, datasets: list[DataSet], flights: list[Flight]
 ) -> None:
-    """UsageError when the caller's cells do not fit the first voltages of a record, or his cut-off no cell."""
+    """Raise UsageError if the stated cells do not fit the first voltages of a record, or the stated cut-off no cell."""
     doubt = ending_doubt("--cutoff-voltage ", cutoff_V, series)
     if doubt is not None and doubt.is_certain:
         raise UsageError(doubt.words)
@@ -165,7 +166,7 @@ def _first(values: list[float]) -> float:
 
 
 def _known(found: BatteryFit) -> tuple[str, ...]:
-    """Each parameter with its confidence."""
+    """Return each parameter with its standard error, in words."""
     lines = []
     for i, slot in enumerate(found.slots):
         value, sd = float(found.x[i]), found.standard_error(slot.name)
@@ -174,19 +175,19 @@ def _known(found: BatteryFit) -> tuple[str, ...]:
 
 
 def _range_C(stack: Stack) -> dict[str, float]:
-    """The temperatures [°C] that the records hold, as the certificate's statistics; empty when none was measured."""
+    """Return the temperature range of the records [°C] as statistics of the certificate; empty if none was measured."""
     return {FITTED_LOW: round(span[0], 1), FITTED_HIGH: round(span[1], 1)} if (span := _measured_C(stack)) else {}
 
 
 def _measured_C(stack: Stack) -> tuple[float, float] | None:
-    """The 1st and the 99th percentile of the measured temperatures [°C]; None when none was measured."""
+    """Return the 1st and the 99th percentile of the measured temperatures [°C]; None if none was measured."""
     temps = stack.temp_C[stack.compare]
     temps = temps[np.isfinite(temps)]
     return (float(np.percentile(temps, 1.0)), float(np.percentile(temps, 99.0))) if temps.size else None
 
 
 def _doubtful(found: BatteryFit) -> tuple[str, ...]:
-    """Say in words which quantities no LiPo cell has: what was fitted is then a detour around something else."""
+    """Return in words which fitted values no LiPo cell has: they stand for another cause."""
     names = [slot.name for slot, u in zip(found.slots, found.u, strict=True) if abs(u) > FAR_SDS]
     far = [name for name in names if name.startswith(ELECTRIC)]
     why = "another chemistry, or other cells, capacity or currents than stated? Do not trust it beyond these records"
@@ -194,7 +195,7 @@ def _doubtful(found: BatteryFit) -> tuple[str, ...]:
 
 
 def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
-    """Say in words which quantities the records cannot tell."""
+    """Return in words which quantities the records do not determine."""
     told_nothing = [
         s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
     ]

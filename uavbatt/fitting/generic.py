@@ -1,4 +1,4 @@
-"""The battery file for users with nothing but a cell count and a capacity: the prior itself, and wide."""
+"""The battery file for users who know only cells and capacity: the prior itself, with wide spreads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A discharge behind a speed controller: constant current, cut back where the cell would fall below the limit."""
+"""A discharge through a speed controller: constant current, reduced where the cell would fall below the limit."""
 
 from __future__ import annotations
 

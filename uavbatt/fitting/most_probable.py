@@ -1,7 +1,7 @@
-"""The most probable unknowns of fits: least squares, its slopes from one simulation of all nudges side by side.
+"""The most probable unknowns of fits: least squares, with slopes from one simulation of all finite differences.
 
-A simulation of so few tests costs what twenty of them side by side do, so that the slopes come with every misfit, and
-fits of the same simulation (from several starts, or to parts of the data) go on side by side as well.
+Twenty simulations side by side cost the same as one. So every simulation gives the residuals and their slopes together,
+and fits that use the same simulation (from several starts, or to parts of the data) run side by side too.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def most_probable(
     evaluations, xtol, ftol: when a search ends, as in `scipy.optimize.least_squares`, whose results are returned.
     is_robust: a residual beyond 1 counts less than its square.
 
-    Each search is a thread that waits until all others that still search have asked for a simulation as well.
+    Each search is a thread. It waits until all other running searches have also asked for a simulation.
     """
     loss: Literal["soft_l1", "linear"] = "soft_l1" if is_robust else "linear"
     asked = SimpleQueue[tuple[int, Array | None]]()
@@ -72,7 +72,7 @@ def _answer(
     asked: SimpleQueue[tuple[int, Array | None]],
     answers: list[SimpleQueue[Array | None]],
 ) -> None:
-    """Simulate what all that still search ask for, at once, until none does."""
+    """Simulate together what all running searches ask for, until none is left."""
     searching, waiting = len(answers), dict[int, Array]()
     while searching:
         k, u = asked.get()
@@ -90,11 +90,11 @@ def _answer(
 
 
 def _with_slopes(residuals: Callable[[Array], Array]) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
-    """Residuals [numbers] of one u [slots], and their slopes [numbers, slots]."""
+    """Return the residuals [numbers] of one u [slots], and their slopes [numbers, slots]."""
     asked, known = np.empty(0), np.empty((0, 0))
 
     def around(u: Array) -> Array:
-        """Residuals at u and at each of its nudges: the search asks for the slopes where it has just asked for them."""
+        """Return the residuals at u and at each of its finite differences; kept, as the search asks twice for one u."""
         nonlocal asked, known
         if not np.array_equal(u, asked):
             asked, known = u.copy(), residuals(np.vstack([u, u + NUDGE * np.eye(u.size)]))

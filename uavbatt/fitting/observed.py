@@ -1,7 +1,7 @@
-"""Measured records, made ready for open-loop fitting: bench runs and flights as one kind of thing.
+"""Measured records, prepared for open-loop fitting: bench runs and flights in the same form.
 
-Fine telemetry is averaged into bins of BIN_S (the model is smoother than the noise); coarse rows are split into
-steps of at most LONGEST_STEP_S with the current in between interpolated, and only the real rows are compared.
+Fine telemetry is averaged over bins of BIN_S (the model is smoother than the noise). Coarse rows are split into steps
+of at most LONGEST_STEP_S with interpolated current, and only the real rows are compared with the model.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Stack holds records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
+    """Stack holds records side by side, [rows, records]; `compare` marks real rows; sigma and slope are of the pack."""
 
     names: tuple[str, ...]
     cells: Array
@@ -90,9 +90,9 @@ def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Obs
 def held_load(time_s: Array, current_A: Array) -> Array:
     """Return the current of a bench test [A] without its sensor's noise: means over the rows near in time and value.
 
-    A bench holds its load between steps, so that row-to-row scatter is the sensor's. Left in, it would be read as
-    a current that the voltage does not answer: a resistance too small (errors in variables), made up by the OCV.
-    Rows within HELD_WINDOW_S that differ by less than 5 robust sd of the scatter are averaged; steps stay.
+    A bench holds its load between steps, so that the scatter from row to row is noise of the sensor. If that noise were
+    kept, the fitted resistance would be too small (errors in variables) and the OCV would compensate. Rows within
+    HELD_WINDOW_S that differ by less than 5 robust sd of the scatter are averaged; steps of the load stay.
     """
     scatter = 1.4826 * float(np.median(np.abs(np.diff(current_A)))) / np.sqrt(2.0)
     firsts = np.searchsorted(time_s, time_s - HELD_WINDOW_S)
@@ -107,11 +107,11 @@ def held_load(time_s: Array, current_A: Array) -> Array:
 def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C: float = BOARD_START_C) -> Observed:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
-    A temperature that a replay would not use (impossible, a board's, the motor controllers') is not measured here.
-    Rows of one time become their mean: a slope between them would divide by zero.
+    A temperature that a replay would not use (impossible, of a board, of the motor controllers) counts as not measured.
+    Rows of the same time are replaced by their mean, because a slope between them would divide by zero.
 
-    hottest_start_C : at which a sensor in the pack may begin [°C]; a diagnosis asks what is wrong with the sensor, and
-    takes any that a cell may have
+    hottest_start_C : highest first temperature of a sensor in the pack [°C]; a diagnosis allows any cell temperature,
+    as the sensor itself may be wrong
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
@@ -174,7 +174,7 @@ def binned(record: Observed) -> Observed:
 
 
 def _merged(record: Observed, index: NDArray[np.intp]) -> Observed:
-    """The record as means of the rows that share an index; the indices count up from 0 without a gap."""
+    """Return the record as means of rows with the same index; the indices count up from 0 without a gap."""
     count = np.bincount(index)
 
     def mean(column: Array) -> Array:
@@ -185,10 +185,11 @@ def _merged(record: Observed, index: NDArray[np.intp]) -> Observed:
 
 
 def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
-    """Bin, split and pad the records, so that they stand side by side.
+    """Bin, split and pad the records to the same length, side by side.
 
-    sigma_V: `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage: near the end a model that
-    is late by a few seconds is good, though volts apart. weight: the share of an independent row.
+    sigma_V : from `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage, because near the
+    end
+    a model that is late by a few seconds is good, though it is off by volts; weight : share of an independent row
     """
     fine = [_split(binned(r)) for r in records]
     rows = max(len(f["time_s"]) for f in fine)

@@ -1,9 +1,9 @@
 """The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
 
-Least squares with a prior (momentum theory and other aircraft), in shares of each flight's own hover power, which is
-found in turns with the shape: a flight with a payload, which scales all but the drag, teaches the shape as well as one
-without. The shape itself is never quite right: many blocks at one airspeed and climb count for no more than that error
-lets them, so that the few at high airspeed are heard.
+It is a least-squares fit with a prior (momentum theory and other aircraft). Power is a share of each flight's own hover
+power, which is fitted in turn with the shape, so that flights with a payload also give the shape (a payload scales all
+but the drag). The model of the shape has an error of its own, which limits the weight of many blocks at the same
+airspeed and climb: so the few blocks at high airspeed count too.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PowerRows(NamedTuple):
 
 
 def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers | None:
-    """Return the power over airspeed and climb that the flights show; None when none tells both for two minutes.
+    """Return the power over airspeed and climb by the flights; None if no flight has both for two minutes.
 
     sensors : what the battery file knows of voltage and current sensor.
     """
@@ -137,7 +137,7 @@ def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:
 
 
 def _unusual(told: list[PowerRows], left: list[Array]) -> Array:
-    """Return what remains of each flight's mean power where it flies far from its hover: fast or climbing."""
+    """Return the error of each flight's mean power away from hover, where it flies fast or climbs."""
     means = []
     for rows, misfit in zip(told, left, strict=True):
         far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)

@@ -1,8 +1,8 @@
 """Prior of a LiPo cell before any data: it keeps a fit physical.
 
 The fit's unknowns are `Slot`s. In the optimiser's space every slot is a standard normal number u; its value is
-prior + sd·u, or prior·exp(sd·u) for what is positive, held within the bounds that a battery file has for it. So the
-penalty of the prior is |u|².
+prior + sd·u, or prior·exp(sd·u) for a positive quantity, within the bounds of a battery file. So the penalty of the
+prior is |u|².
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
-# How much the OCV falls from knot to knot at the knee, below a tenth of the charge, is more alike from make to make
-# than its level. Flights that end at a few C leave the last hundredths to the prior: a fit of flights made the OCV
-# flat there, and the number too long wherever a pack was emptied deeper, or more slowly, than on those flights.
+# At the knee, below a tenth of the charge, the fall of the OCV from knot to knot varies less between makes than its
+# level. Flights that end at a few C do not reach the last hundredths: without this prior a fit made the OCV flat there,
+# and the time too long for packs that were emptied deeper, or more slowly, than on those flights.
 KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
 
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
 DISORDER_SD_V = 0.003
 
 RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
-# 5.6 mohm a cell of 5 Ah at once; what lags comes on top. Packs differ by a factor of 1.6 either way: 0.04 ohm·Ah in
-# all for a racing pack, 0.06 in the study, 0.1 for packs built for energy.
+# 5.6 mohm for a cell of 5 Ah, without the polarisation. Packs differ by a factor of 1.6 either way: in all 0.04 ohm·Ah
+# for a racing pack, 0.06 in the study, 0.1 for packs built for energy.
 RESISTANCE_OHMAH = 0.028
 RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
 

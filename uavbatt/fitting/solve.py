@@ -1,8 +1,8 @@
 """Maximum a posteriori fit of the cell to records with measured current.
 
-Unknowns: the cell's slots, shared by all records, and per record its starting charge and the two scales that tell
-one pack from its type. A record's own unknowns touch only its own rows, so that one simulation with all records
-nudged at once gives the whole block of the Jacobian.
+Unknowns are the cell's slots, shared by all records, and for each record its starting charge and its two scales against
+the type (resistance, capacity). A record's own unknowns change only its own rows, so that one simulation with a finite
+difference in all records at once gives the whole block of the Jacobian.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ OWN = ("start_soc", "log_resistance", "log_capacity")
 
 @dataclass(frozen=True, slots=True)
 class OwnPrior:
-    """OwnPrior holds the prior sds of what each record has of its own, beside the cell that all share.
+    """OwnPrior holds the prior sds of each record's own unknowns.
 
-    They are those of the starting charge of a rested and of a loaded record, and of ln of its pack's scales.
+    They are the sd of the starting charge of a rested record and of a loaded one, and of ln of the two scales.
     """
 
     rested_soc: float = 0.005
@@ -53,7 +53,7 @@ class BatteryFit(Posterior):
 
 
 def fullest_V(stack: Stack) -> float:
-    """Return the highest voltage of a cell at which a record begins at rest [V]; NaN where none does."""
+    """Return the highest cell voltage at which a record begins at rest [V]; NaN if none begins at rest."""
     first_V = (stack.voltage_V[0] / stack.cells)[stack.rested]
     return float(np.max(first_V)) if first_V.size else float("nan")
 

@@ -1,4 +1,4 @@
-"""A vehicle file from past flights: power from take-off to landing, with the charge that the battery file sees."""
+"""A vehicle file from past flights: power and charge from take-off to landing, by the estimates of a battery file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are 
 
 
 def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
-    """Return the library of the flights that flew long enough; raises NotEnoughData when none did."""
+    """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is."""
     traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
     if not traces:
         raise NotEnoughData(f"{name}: none of {len(flights)} logs holds {SHORTEST_S:.0f} s of flight with a current")
@@ -45,9 +45,9 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
 
 
 def speeds(flights: list[Flight]) -> Speeds | None:
-    """Return the speeds and the way home that the vehicle's parameters said last; None where no log holds them.
+    """Return speeds and way home by the vehicle's last parameters; None if no log has them.
 
-    What a vehicle file may not hold is left out.
+    Values out of the bounds of a vehicle file are left out.
     """
     for flight in reversed(flights):
         settings = flight.navigation_at(math.inf).settings
@@ -59,7 +59,7 @@ def speeds(flights: list[Flight]) -> Speeds | None:
 
 
 def _may_be(name: str, value: float) -> bool:
-    """True for a value that `Speeds` may hold under `name`; a parameter is whatever the vehicle was given."""
+    """Return True if a value is within the bounds of the field `name` of `Speeds`."""
     try:
         msgspec.convert({name: value}, Speeds)
     except msgspec.ValidationError:

@@ -1,13 +1,13 @@
-"""Correlation of what a model leaves along a record: learned from records in which nothing is wrong.
+"""Correlation of a model's error along a record, learned from records without a missing effect.
 
-No circuit is the cell, so that its misfit is no white noise. It is described as a process that forgets itself,
+No circuit model is exact, so that its error is not white noise. It is modelled as an Ornstein-Uhlenbeck process,
 
     misfit(t) = s(t) z(t) + noise,   z' = -z/tau + white,  var z = 1
     s(t)²     = sd(soc)² + (TIMING_S dV/dt)²
 
-with sd large at both ends of the charge, where tables are steep and reactions slow. The most probable sd, tau and
-noise follow from the likelihood of the records (a Kalman filter of z: Kennedy & O'Hagan 2001 for the idea of a
-discrepancy, Särkkä 2013, chapter 12, for the parameters). At rest before take-off the misfit is a constant.
+whose sd is large at both ends of the charge, where tables are steep and reactions slow. The most probable sd, tau and
+noise follow from the likelihood of the records, by a Kalman filter of z (Kennedy & O'Hagan 2001 for the idea of a
+discrepancy, Särkkä 2013, chapter 12, for the parameters). At rest before take-off the error is a constant.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ NUDGE = 1e-3
 
 
 class Misfit(NamedTuple):
-    """Misfit holds the misfit of records side by side, [rows, records], and the quantities that its size goes with.
+    """Misfit holds the model's error on records side by side, [rows, records], and the quantities that scale it.
 
-    slope : of the voltage [V/s], 0 for temperatures; known : marks the rows that count.
+    slope : of the voltage [V/s], 0 for temperatures; known : marks the rows that count
     """
 
     value: Array
@@ -98,7 +98,7 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
 def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) -> Wander:
     """Return the wander of `records` (columns of the stack) around an open-loop simulation of them.
 
-    cells : of the pack that it is told for; records of other packs are scaled to it
+    cells : cells of the pack for which it is stated; records of other packs are scaled to it
     """
     loaded = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
     share = cells / stack.cells

@@ -1,4 +1,4 @@
-"""Workers of an existing Dask cluster (`--scheduler tcp://host:8786`); who may reach it is its owner's matter."""
+"""Workers of an existing Dask cluster (`--scheduler tcp://host:8786`); its owner must protect the access to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WAIT_FOR_WORKERS_S = 30
 
 
 class Cluster(Generic[Row]):
-    """A Cluster is a crew of as many workers as a Dask cluster has threads."""
+    """A Cluster is a crew with as many workers as a Dask cluster has threads."""
 
     def __init__(self, client: Any) -> None:
         from distributed import as_completed
@@ -40,7 +40,7 @@ class Cluster(Generic[Row]):
         return number, row
 
     def _row(self, future: Any, errand: Errand[Row]) -> Row:
-        """The row of a future. An errand raises nothing, so an error here is the cluster's."""
+        """Return the row of a future; an errand never raises, so that an error here is one of the cluster."""
         try:
             row: Row = future.result()
         except Exception as error:
@@ -55,14 +55,14 @@ class Cluster(Generic[Row]):
 def joined(scheduler: str) -> Iterator[Cluster[Any]]:
     """Yield the crew of a cluster.
 
-    Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
+    Raises UavbattError if the cluster does not answer, has no workers, or runs another version of uavbatt.
     """
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = Client(scheduler, timeout=10, set_as_default=False)
-    except Exception as error:  # an address can be wrong in as many ways as there are transports
+    except Exception as error:  # every transport has its own errors for a wrong address
         raise UsageError(f"--scheduler {scheduler}: expected a Dask scheduler that answers: {error}") from None
     with client:
         _check_workers(client, scheduler)

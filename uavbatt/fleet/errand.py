@@ -1,4 +1,4 @@
-"""An errand goes out to a worker: a log, and the work that makes a row of it."""
+"""An errand: one log, and the work that makes a row of it, as sent to a worker."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True, slots=True)
 class Errand(Generic[Row]):
-    """An Errand is one log to be worked on by any worker; both functions can be pickled.
+    """An Errand is the work on one log; both functions can be pickled.
 
-    work : makes the log's row, and never raises; lost : makes the row of a log whose worker died, from the reason.
+    work : returns the log's row, and never raises; lost : returns the row of a log whose worker died, with the reason
     """
 
     log: LogFile

@@ -1,4 +1,4 @@
-"""One log -> one row. Whatever is wrong with a log ends as the reason in its row, never as the end of the run."""
+"""One log -> one row. An error in a log becomes the reason in its row, and never ends the run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05
 OPTIMISTIC_S = 60.0
 RESISTANCE_GROWN = 1.4
-MANY_FLIGHTS = 20  # of 20 minutes: compiled code spares 0.2 s in each, and takes 1 s to be loaded
+MANY_FLIGHTS = 20  # of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +43,18 @@ class Job:
     battery: BatteryFile
     options: PackOptions
     settings: ForecastSettings = ForecastSettings()
-    load: str = "learned"  # the word for the load to come, as `replay --load` has it
+    load: str = "learned"  # the load to come, as in `replay --load`
     vehicle: VehicleFile | None = None
     instance: int | None = None
-    join: str = ""  # how the batteries of a log are wired, where all of them are flown as one pack
+    join: str = ""  # wiring of the batteries, if all of a log are one pack
     by: str = ""  # the column that names the aircraft
-    aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
-    flights_each: int = 1  # about how many logs a worker will fly
+    aircraft_pattern: str = ""  # its match in a log's name, or its group, names the aircraft
+    flights_each: int = 1  # number of logs that a worker will replay, about
 
 
 @dataclass(frozen=True, slots=True)
 class PackMet:
-    """PackMet holds what a ledger says of one log's pack: what earlier flights taught, what this one showed."""
+    """PackMet holds the ledger's view of one log's pack: its health by earlier flights, and this flight's findings."""
 
     health: PackHealth | None = None
     findings: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ NOT_MET = PackMet()
 
 
 def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
-    """Return the row of one log; never raises for anything that a log can cause."""
+    """Return the row of one log; no content of the log makes it raise an error."""
     try:
         return _flown(read(log, job), log, job, met)
     except Unreadable as error:
@@ -77,7 +77,7 @@ def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
 
 
 def _reason(error: UavbattError, log: LogFile) -> str:
-    """Return what the error says without the log's own name, packed or not: the row has it already."""
+    """Return the text of the error without the name of the log, which the row has already."""
     said = str(error)
     for name in (f"{log.name}: ", f"{log.name.removesuffix('.gz')}: ", f"{log.name}/"):
         said = said.removeprefix(name)
@@ -125,7 +125,7 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
 
 
 def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome) -> FlightRow:
-    """The row of a replayed flight, as far as the flight itself tells it."""
+    """Return the row of a replayed flight, without its aircraft and scores."""
     who, last = flight.identity, run[-1].estimate
     total = drawn(flight.samples, gap_limit_s(median_step_s(flight.samples)))
     temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
@@ -166,7 +166,7 @@ def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome)
 
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:
-    """The row with the name of its aircraft, and who gave it."""
+    """Return the row with the name of its aircraft, and where that name comes from."""
     named = str(getattr(row, job.by) or "") if job.by else ""
     if named:
         return replace(row, aircraft=named, aircraft_from="--by")
@@ -174,7 +174,7 @@ def _identified(row: FlightRow, job: Job) -> FlightRow:
 
 
 def _scored(row: FlightRow, found: Outcome) -> FlightRow:
-    """The row with the errors of the forecasts before the end that the log shows."""
+    """Return the row with the errors of the forecasts, if the log shows the end of flight."""
     scored: dict[str, float | bool] = {}
     for checkpoint in found.checkpoints:
         key = next(k for k in CHECKPOINTS if checkpoint.label.startswith(k))
@@ -188,7 +188,7 @@ def _warnings(flight: Flight, run: list[ReplayedRow]) -> list[str]:
 
 
 def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
-    """Return the reasons why a person should look at this flight; empty when it is like any other."""
+    """Return the reasons why a person should look at this flight; empty if there are none."""
     found = []
     if row.end_soc < EMPTY_SOC:
         found.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
@@ -210,7 +210,7 @@ def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
 
 
 def _aircraft(log: LogFile, job: Job, system: int | None) -> str:
-    """Which aircraft flew: by the caller's pattern, else the log's folder, with MAVLink's number where it says more."""
+    """Return the name of the aircraft: by the user's pattern, else the log's folder, with the system id if not 1."""
     if job.aircraft_pattern:
         match = re.search(job.aircraft_pattern, log.name)
         return (match[1] if match.re.groups and match[1] else match[0]) if match else ""

@@ -1,8 +1,8 @@
-"""Rows on disk as they come: one JSON line a flight, so that a stopped run goes on where it was.
+"""Rows on disk as they come, one JSON line a flight, so that a stopped run can go on.
 
-A row counts for a later run only under the same key: path, size and time of change of the log, content of the battery
-file and of the vehicle file, all options, what is remembered of its pack, and version of uavbatt. Rows under other
-keys stay in the file until it is tidied. A damaged row is taken out of the file at once, and its log flown again.
+A later run uses a row only if its key is the same: path, size and time of change of the log, content of battery file
+and vehicle file, all options, the pack's health, and the version of uavbatt. Rows with other keys stay in the file
+until it is tidied. A damaged row is removed at once, and its log is replayed again.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ def key(log: LogFile, job_key: str, met: PackMet = NOT_MET) -> str:
 
 
 def job_key(job: Job) -> str:
-    """Return a key of all that a job says and that changes its rows."""
+    """Return a key of all settings of a job that change its rows."""
     vehicle = msgspec.json.encode(job.vehicle).decode()
     said = "\0".join(map(repr, (job.settings, job.load, vehicle, job.by, job.aircraft_pattern)))
     return _digest(f"{lesson_key(job)}\0{said}")
 
 
 def lesson_key(job: Job) -> str:
-    """Return a key of all that a job says and that changes what its flights teach."""
+    """Return a key of all settings of a job that change the records for the ledger."""
     said = "\0".join(map(repr, (job.options, job.instance, job.join)))
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{said}")
 
 
 class Journal(Generic[Row]):
-    """A Journal of one output folder is open for the length of a run; only the places of its rows are in memory."""
+    """Journal is the file of rows in an output folder, open during a run; only the places of the rows are in memory."""
 
     def __init__(self, path: Path, keys: Mapping[str, int], row_of: Callable[[Mapping[str, Any]], Row]) -> None:
         """Open it; raises BadInput when its folder cannot be written.
@@ -98,7 +98,7 @@ class Journal(Generic[Row]):
             yield number, self._row_of(json.loads(self._file.readline()))
 
     def _index(self) -> bool:
-        """Find the rows that count; True if none is damaged. A last line that a crash cut short is cut away."""
+        """Find the rows of this run; return True if none is damaged. A last line that a crash cut short is removed."""
         self._file.seek(0)
         place, end, is_sound = 0, 0, True
         for line in self._file:
@@ -113,13 +113,13 @@ class Journal(Generic[Row]):
         return is_sound
 
     def _number(self, line: bytes) -> int | None:
-        """The log of this run that a line is the row of, -1 for a row that does not count, None for no row at all."""
+        """Return the number of a line's log in this run; -1 for a row of another run, None for a damaged line."""
         said = _parsed(line)
         if not isinstance(said.get("key"), str):
             return None
         number = self._keys.get(said["key"])
         if number is None:
-            return -1  # of another run, which may be of another version: not ours to judge
+            return -1  # of another run, perhaps by another version
         try:
             return number if self._row_of(said).status != LOST else -1
         except ValueError:
@@ -140,7 +140,7 @@ class Journal(Generic[Row]):
         self._index()
 
     def tidy(self) -> None:
-        """Rewrite the file with only this run's rows, when more of it is old than is in use."""
+        """Rewrite the file with only this run's rows, if more than half of it is old."""
         self._file.seek(0)
         if sum(1 for _ in self._file) <= 2 * len(self._places):
             return

@@ -1,4 +1,4 @@
-"""The pack ledger of a fleet: the same as by replaying the logs one by one in order of time, on however many cores."""
+"""The pack ledger of a fleet: the same as if the logs were replayed one by one in order of time."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Numbered = tuple[int, Lesson]
 
 
 @dataclass(frozen=True, slots=True)
-class Filled:
-    """Filled holds how many flights a ledger has taken in, and why it left out others: number of the log -> words."""
+class LedgerUpdate:
+    """LedgerUpdate counts the flights saved in a ledger; `left_out` has the reason for each log that was not saved."""
 
     saved: int
     left_out: dict[int, str]
 
 
-def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> Filled:
-    """Save what the flights taught of their packs; return how many were saved, and which were left out."""
+def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> LedgerUpdate:
+    """Save the records of the flights; return how many were saved, and which were left out."""
     saved, left_out = 0, dict[int, str]()
     for name, flights in sorted(_by_pack(lessons).items()):
         teaching = [(number, lesson) for number, lesson in flights if lesson.taught is not None]
@@ -38,13 +38,13 @@ def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> Filled:
             except UavbattError as error:
                 left_out |= {number: str(error) for number, _ in teaching}
                 break
-    return Filled(saved, left_out)
+    return LedgerUpdate(saved, left_out)
 
 
 def packs_met(
-    ledger: Ledger, lessons: Iterable[Numbered], filled: Filled, logs: int, battery_sha256: str
+    ledger: Ledger, lessons: Iterable[Numbered], filled: LedgerUpdate, logs: int, battery_sha256: str
 ) -> list[PackMet]:
-    """Return the pack of each of so many logs as the flights before it left it, once the ledger is filled."""
+    """Return the pack of each log with its health before that log; the ledger must be filled."""
     found = [NOT_MET] * logs
     for name, flights in _by_pack(lessons).items():
         every = ledger.flights(name)
@@ -59,7 +59,7 @@ def packs_met(
 
 
 def _by_pack(lessons: Iterable[Numbered]) -> dict[str, Sequence[Numbered]]:
-    """The flights of each named pack in order of time, those without a clock after all others."""
+    """Return the flights of each named pack in order of time; flights without a clock come last."""
     packs: dict[str, list[Numbered]] = defaultdict(list)
     for number, lesson in lessons:
         if lesson.pack:

@@ -1,4 +1,4 @@
-"""The first pass of a fleet with a pack ledger: each flight's own word on its pack, whatever is known of the pack."""
+"""The first pass of a fleet with a pack ledger: the record of each flight, independent of all others."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, LOST, OK
 from uavbatt.packs.exchange import flight_of, plain_flight
 from uavbatt.packs.records import FlightRecord
-from uavbatt.packs.remembering import key_of, name_of, taught
+from uavbatt.packs.remembering import flight_for_ledger, key_of, name_of
 from uavbatt.records import NAN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """A Lesson holds what a flight says of its pack. `status`: OK, or BAD or LOST where the log could not be read.
+    """A Lesson holds the record of a flight for the ledger. `status`: OK, or BAD or LOST if the log could not be read.
 
-    pack : the pack's serial, empty where the log has none; key : what the ledger knows the log by; start_utc_s : when
-    the log began [s since 1970], NaN where no clock was set; taught : None where the flight says nothing.
+    pack : the pack's serial, empty if the log has none; key : the log's key in the ledger; start_utc_s : start of the
+    log [s since 1970], NaN if no clock was set; taught : the record, None if the flight shows nothing
     """
 
     file: str
@@ -46,7 +46,7 @@ class Lesson:
 
 
 def lesson_of(plain: Mapping[str, Any]) -> Lesson:
-    """Return the lesson of a dictionary that `Lesson.plain` made. Raises ValueError when it is none."""
+    """Return the lesson of a dictionary that `Lesson.plain` made. Raises ValueError for any other."""
     try:
         found = Lesson(
             file=msgspec.convert(plain["file"], str),
@@ -64,11 +64,11 @@ def lesson_of(plain: Mapping[str, Any]) -> Lesson:
 
 
 def learn(log: LogFile, job: Job) -> Lesson:
-    """Return what the flight of a log says of its pack; never raises for anything that a log can cause."""
+    """Return the lesson of a log; no content of the log makes it raise an error."""
     try:
         flight = read(log, job)
         name = name_of(flight)
-        found = taught(job.battery, job.options, flight).record if name else None
+        found = flight_for_ledger(job.battery, job.options, flight).record if name else None
     except Unreadable as error:
         return no_lesson(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it
@@ -78,5 +78,5 @@ def learn(log: LogFile, job: Job) -> Lesson:
 
 
 def no_lesson(log: LogFile, _: str) -> Lesson:
-    """Return the lesson of a log that could not be read, or whose worker died; the flight's own row will say why."""
+    """Return the lesson of a log that could not be read, or whose worker died; the log's row will say why."""
     return Lesson(file=log.name, status=LOST)

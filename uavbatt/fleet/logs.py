@@ -1,4 +1,4 @@
-"""Which logs there are: paths, folders and patterns on this disk, or addresses of any file system that fsspec knows.
+"""Search for logs: paths, folders and patterns on this disk, or addresses of any file system that fsspec knows.
 
 /data/**/*.tlog                     a pattern
 /data/summer                        a folder: every log in it, by suffix, at any depth; packed ones as well
@@ -24,12 +24,12 @@ _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag",
 
 
 class Unreadable(BadInput):
-    """A log whose bytes cannot be read just now raises this error; the next run tries again."""
+    """Unreadable is raised for a log whose bytes cannot be read now; the next run tries again."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A LogFile is a log to be flown: path or address, size [bytes] and when it changed, in whatever form is known."""
+    """A LogFile is a log to be replayed: path or address, size [bytes], and time of change in any form."""
 
     name: str
     size: int
@@ -88,7 +88,7 @@ def _is_log(file: Path) -> bool:
 
 
 def _is_own_table(file: Path) -> bool:
-    """The table of an earlier run, which a pattern may well sweep in."""
+    """Return True for a table of an earlier run, which a pattern may include."""
     return file.name == TABLE and (file.parent / JOURNAL).exists()
 
 

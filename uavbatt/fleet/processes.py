@@ -1,10 +1,11 @@
-"""Workers on this machine: processes at the ends of unnamed pipes, so that no port is open through which another user
-of the machine could have code run.
+"""Workers on this machine: processes connected by unnamed pipes.
+
+No port is open, so that no other user of the machine can make a worker run code.
 
     queue -> the pipe of an idle worker -> its work -> the pipe -> row
 
-A worker is on one log at a time: when it dies, or takes more memory than its share, it is known on which. That log is
-tried once more in a new process; a second time, its row says so.
+A worker has one log at a time, so that the log is known if the worker dies or uses more memory than its share. That log
+is tried once more in a new process; if it fails again, its row says so.
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ class Worker:
         self.is_ready = False
 
     def give(self, task: Task) -> None:
-        """Send it on an errand."""
+        """Give the worker an errand."""
         self.task = task
         with suppress(OSError):  # it is dead, as its pipe will tell
             self.line.send(task.errand)
 
     def memory_bytes(self) -> int:
-        """Return the memory that it holds now [bytes]; 0 where the system does not tell."""
+        """Return the memory that the worker uses now [bytes]; 0 if the system does not tell."""
         try:
             pages = int(Path(f"/proc/{self._process.pid}/statm").read_text("ascii").split()[1])
         except (OSError, ValueError, IndexError):
@@ -93,7 +94,7 @@ class Processes(Generic[Row]):
         return next(found for found in self._rows() if found is not None)
 
     def _rows(self) -> Iterator[tuple[int, Row] | None]:
-        """Yield the rows of each worker that has something to say or has grown too big."""
+        """Yield the rows of workers that have finished, died, or grown too big."""
         while True:
             if time.monotonic() >= self._look_s:
                 self._look_s = time.monotonic() + LOOK_PERIOD_S
@@ -125,7 +126,7 @@ class Processes(Generic[Row]):
         return None if task is None or row is None else (task.number, row)
 
     def _lost(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
-        """A new process in the place of this one; the row of its log if that has been tried often enough."""
+        """Replace a lost worker by a new one; return the row of its log if that has been tried often enough."""
         code, task = worker.end(), worker.task
         if not worker.is_ready:
             raise UavbattError(f"expected a worker process that starts, it ended with exit code {code}")
@@ -149,7 +150,7 @@ def machine_bytes() -> float:
 
 
 def _work(line: Connection) -> None:
-    """The worker: until the other end of its pipe is closed."""
+    """Run the worker until the other end of its pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -166,7 +167,7 @@ def _work(line: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """Nobody wants the row of a run that was killed."""
+    """End this process when its parent dies."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

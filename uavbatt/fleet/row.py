@@ -1,7 +1,7 @@
 """One row a flight: the columns of the fleet's table, with their units in the names.
 
-What is not known is NaN, None or empty, never a zero. `error_*_s` is forecast less truth that long before the end,
-where the log shows the end; positive is optimistic.
+An unknown value is NaN, None or empty, never 0. `error_*_s` is forecast less truth at that time before the end, if the
+log shows the end; positive is optimistic.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The run: logs go out to workers, rows come back and are on disk before the next log goes out.
+"""The run: logs are sent to workers, and each row is on disk before the next log is sent.
 
     logs -> a bounded number under way -> fly (worker process, or a cluster's) -> journal -> tables
 
-Few logs are under way at a time, so that memory does not grow with the number of flights. With a pack ledger the logs
-go out twice: first for what each flight says of its pack, from which the ledger is filled, then to be flown.
+Only a few logs are under way at a time, so that memory does not grow with the number of flights. With a pack ledger the
+logs are sent twice: first for the records that fill the ledger, then to be replayed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _UNDER_WAY_PER_WORKER = 3
 
 
 class Crew(Protocol[Row]):
-    """A Crew is the workers that read the logs."""
+    """Crew is the interface of a group of workers."""
 
     size: int
 
@@ -41,10 +41,10 @@ class Crew(Protocol[Row]):
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
-    """Finished tells of one log that is done: its row, how many are done (those of earlier runs too), of how many.
+class FinishedLog:
+    """FinishedLog holds the row of one finished log, how many logs are done (with earlier runs), and of how many.
 
-    dropped: damaged rows of earlier runs that were taken out of the journal.
+    dropped : damaged rows of earlier runs that were removed from the journal
     """
 
     row: FlightRow | Lesson | None
@@ -82,8 +82,8 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]
 
 def learn_all(
     crew: AbstractContextManager[Crew[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
-) -> Iterator[Finished]:
-    """Work out what each flight says of its pack, for all logs that `folder` does not have yet; yield each when done.
+) -> Iterator[FinishedLog]:
+    """Work out the record of each flight for the ledger, for all logs that `folder` does not have; yield finished ones.
 
     crew and errors as in `run_fleet`; `lessons` gives what was found.
     """
@@ -98,7 +98,7 @@ def learn_all(
 
 
 def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
-    """Yield (number of the log, what its flight says of its pack) of a finished first pass."""
+    """Yield (number of the log, its lesson) of a finished first pass."""
     with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
         yield from done.rows()
 
@@ -109,8 +109,8 @@ def run_fleet(
     job: Job,
     folder: Path,
     met: Sequence[PackMet] = (),
-) -> Iterator[Finished]:
-    """Fly every log that `folder` has no row of yet, then write its tables; yields as logs are done.
+) -> Iterator[FinishedLog]:
+    """Replay every log without a row in `folder`, then write its tables; yield the finished logs.
 
     crew: see `connected`; not entered when there is nothing to do. The first item tells how many were done before.
     met: the pack of each log, where a ledger knows it. Raises UavbattError when the cluster goes away: what is done
@@ -154,19 +154,19 @@ def _worked_off(
     errand: Callable[[int, int], Errand[journal.Row]],
     keys: Sequence[str],
     done: Journal[journal.Row],
-) -> Iterator[Finished]:
-    """Have the errands of all logs done that the journal has no row of.
+) -> Iterator[FinishedLog]:
+    """Work off the errands of all logs without a row in the journal.
 
     errand : of the log of a number, where a worker does about so many.
     """
-    yield Finished(None, len(done), len(keys), done.dropped)
+    yield FinishedLog(None, len(done), len(keys), done.dropped)
     to_do = [number for number in range(len(keys)) if number not in done]
     if not to_do:
         return
     with crew as at_work:
         for number, row in _sent_out(at_work, errand, to_do):
             done.add(number, keys[number], row)
-            yield Finished(row, len(done), len(keys))
+            yield FinishedLog(row, len(done), len(keys))
 
 
 def _sent_out(

@@ -1,7 +1,7 @@
 """Rows -> Parquet and CSV, a thousand at a time: the tables may be bigger than the memory.
 
-A spreadsheet runs what begins with `=`, `+`, `-` or `@`: names of folders and what a log says of its hardware are text
-of strangers, and stand in the CSV behind an apostrophe then, which a spreadsheet takes for "this is text".
+A spreadsheet executes a cell that begins with `=`, `+`, `-` or `@`. Names of folders and hardware come from strangers:
+such a cell gets an apostrophe in front in the CSV, which tells the spreadsheet that it is text.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _encodable(value: Any) -> Any:
 
 
 def _harmless(text: str) -> str:
-    """A cell that no spreadsheet runs."""
+    """Return the cell in a form that no spreadsheet executes."""
     return f"'{text}" if text.startswith(_RUN) else text
 
 

@@ -1,14 +1,16 @@
-"""Announcements of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
+"""Announcements of a battery (STATUSTEXT, and on the page): alarms, a lost number, new warnings.
 
-- The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
-- A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and one that comes
-  and goes is said once a minute. So is the end of a flight quiet: nothing tells the load to come.
-- No number comes although the vehicle is armed: once a flight. Waiting for the load is none of it, armed or not, unless
-  the autopilot says that the vehicle is in the air.
-- A warning of WARNINGS stands on the estimate: once, and again only after it had been gone for a minute.
+- Alarm: the time left at worst falls below a threshold. It comes once, and again only after the time has risen 20 %
+  above the threshold.
+- Loss: the time left was known and is not known any more, with the reason. The same loss is announced once a minute at
+  most; that the number is back is not announced, and neither is the loss after landing.
+- No number at all: the vehicle is armed and no number has come for WITHOUT_AFTER_S. It comes once a flight. Waiting for
+  the load before take-off does not count, unless the autopilot says that the vehicle is in the air.
+- Warning: a warning of the estimate that is listed in WARNINGS. It comes once, and again only after it has been gone
+  for a minute.
 
-A text never waits for another: the pause holds only between two texts about the same thing, and what is still so when
-it is over is said then.
+Pauses apply only between two texts about the same thing: no text waits for another. A text that falls into a pause and
+still holds at its end is sent then.
 """
 
 from __future__ import annotations
@@ -26,11 +28,10 @@ ALARM_PAUSE_S = 10.0
 SAME_LOSS_PAUSE_S = 60.0  # for the same reason: slow or broken telemetry loses a number ten times a minute
 REARM = 1.2
 CRITICAL_BELOW_S = 90.0
-LOST_AFTER_S = 1.0  # one bad row is no loss
+LOST_AFTER_S = 1.0  # one bad row is not a loss
 WARNING_GONE_S = 60.0
-WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
-
-# Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
+WITHOUT_AFTER_S = 20.0  # in a flight that has had no number yet
+# Part of a warning of the estimate -> its short text behind "Battery N: ", at most 37 characters.
 WARNINGS: dict[str, str] = {
     "turn back now": "turn back now",
     LATE: "telemetry comes late",
@@ -61,12 +62,12 @@ WARNINGS: dict[str, str] = {
     "the current fell to nothing": "current fell to nothing: sensor?",
 }
 
-AT_START = frozenset({"cut-off "})  # words of a warning or a reason that others hold as well, behind their beginning
+AT_START = frozenset({"cut-off "})  # must begin the warning or the reason: others have these words further on
 CRITICAL = ("turn back now", "the measured voltage falls to the cut-off")
 
 LONGEST_REASON = 23
 
-# Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ".
+# Part of the reason of a refusal -> its short text behind "Battery N: time unknown, ".
 REASONS: dict[str, str] = {
     "no telemetry": "no telemetry",
     LATE: "telemetry comes late",
@@ -103,13 +104,13 @@ REASONS: dict[str, str] = {
 
 
 class Announcer:
-    """The announcer decides when to speak of one battery, and in which words."""
+    """Announcer decides when a text about one battery is sent, and with which words."""
 
     def __init__(self, instance: int, thresholds_s: Sequence[float]) -> None:
         self._instance = instance
         self._waiting = dict.fromkeys(sorted(thresholds_s, reverse=True), True)
         self._spoke_s: dict[str, float] = {}  # by subject
-        self._warned_s: dict[str, float] = {}  # when a warning stood there last
+        self._warned_s: dict[str, float] = {}  # when each warning was last seen
         self._was_known = self._is_without_said = False
         self._lost_s = math.nan
 
@@ -121,10 +122,10 @@ class Announcer:
         is_airborne: bool = False,
         speaks_first: bool = True,
     ) -> list[tuple[int, str]]:
-        """Return (severity, text) of all that is to be said now; `now_s` on the monotonic clock [s].
+        """Return (severity, text) of all announcements that are due; `now_s` is on the monotonic clock [s].
 
-        is_airborne : the autopilot says that the vehicle is in the air, by whatever but the battery; speaks_first : the
-        battery is the one that speaks for the vehicle (`headline`): of several only this one tells how time runs out.
+        is_airborne : the autopilot says that the vehicle is in the air, by other signs than the battery
+        speaks_first : this battery speaks for the vehicle (`headline`); of several batteries only this one gives alarms
         """
         shown = report.at(now_s)
         said = self._alarm(now_s, shown) if speaks_first else []
@@ -159,7 +160,7 @@ class Announcer:
             self._lost_s = now_s
         if not self._was_known:
             return self._never_known(now_s, shown, is_armed)
-        is_stale = shown.status is Status.STALE  # that took its time already
+        is_stale = shown.status is Status.STALE  # this has already lasted for 3 s
         if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S):
             return []
         if is_armed is False and not is_stale:
@@ -173,7 +174,7 @@ class Announcer:
         return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
 
     def _never_known(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
-        """In the air without a number from the start: said once."""
+        """Announce once a flight that no number has come since its start."""
         if is_armed is not True:
             self._lost_s = math.nan
             return []
@@ -199,7 +200,7 @@ class Announcer:
 def _waits_for_load(report: Report, is_airborne: bool) -> bool:
     """Return True while there is no number because no load has come yet; in the air a missing load is a loss.
 
-    That another battery has the load is a warning of its own.
+    A battery without load beside another that has it also waits: it has a warning of its own.
     """
     reason = report.remaining.reason
     return reason == JUST_TAKEN_OFF or GIVES_NOTHING in reason or (reason == NOT_FLYING and not is_airborne)
@@ -214,7 +215,7 @@ def _tells(sentence: str, words: str) -> bool:
 
 
 def _fitting(text: str, longest: int) -> str:
-    """Return so many of the words as fit; a single one that is longer is cut."""
+    """Return the text cut after the last word that fits; a single longer word is cut itself."""
     if len(text) <= longest:
         return text
     whole = text[: longest + 1].rpartition(" ")[0].rstrip(" ,:;")

@@ -1,9 +1,9 @@
-"""Every battery of the vehicle that is followed: its estimator, its last report, and what survives a crash.
+"""All batteries of the vehicle that is followed: estimator, last report and saved state of each.
 
 row -> TrackedBattery -> Report
           |      ^
           v      |
-saved state, written every few seconds, resumed at the first row of the vehicle that it is of
+saved state, written every few seconds, resumed at the first row of the same vehicle
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NOTE_S = 60.0
 
 
 class Batteries:
-    """Batteries takes the rows of one vehicle in and gives a report of each battery.
+    """Batteries takes the rows of one vehicle and gives a report of each battery.
 
     `clocks` reads all clocks at a monotonic time [s].
     """
@@ -59,7 +59,7 @@ class Batteries:
         self.tracked: dict[int, TrackedBattery] = {}
         self._put_by: dict[Vehicle | None, tuple[dict[int, TrackedBattery], dict[int, Report]]] = {}
         self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
-        self._note_until_s = now_s + NOTE_S  # so long the notes say how the estimate began
+        self._note_until_s = now_s + NOTE_S  # until then the notes say how the estimate began
         self._problem = ""
         self._resumption = self._found(now_s)
         self._keeper = self._opened()
@@ -67,7 +67,7 @@ class Batteries:
     def begin_vehicle(self) -> None:
         """Begin with the batteries of another vehicle, which is followed from now on.
 
-        Those of the last one are forgotten, unless it is awaited: then its estimates go on when it is heard again.
+        The batteries of the last vehicle are dropped, unless it is awaited: then they go on when it is heard again.
         """
         last, reader = (self.tracked, self.reports), self._reader
         self.tracked, self.reports = self._put_by.pop(reader.followed, ({}, {}))
@@ -79,7 +79,7 @@ class Batteries:
             self._keeper.begin_vehicle()
 
     def look_at_vehicle(self) -> None:
-        """Forget a resumed state if the serial number that the vehicle has told since shows that it is another's."""
+        """Drop a resumed state if the serial number of the vehicle, heard later, shows that the state is of another."""
         if self._resumption.is_contradicted(self._vehicle):
             self.tracked.clear()
             self._reader.resume({})
@@ -88,7 +88,7 @@ class Batteries:
         """Take one row through the estimator of its battery; return the report. `now_s` is monotonic [s]."""
         instance = row.instance
         tracked = self._tracked(instance, now_s)
-        if self._keeper is not None and self._reader.awaited is None:  # else the packs are another's
+        if self._keeper is not None and self._reader.awaited is None:  # else the packs are of another crew
             self._remember(self._keeper, row, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
         facts, navigation = self._facts_of(instance), self._reader.navigation
@@ -122,7 +122,7 @@ class Batteries:
         return report
 
     def _tracked(self, instance: int, now_s: float) -> TrackedBattery:
-        """The battery of this instance; one that is heard for the first time goes on from what was saved of it."""
+        """Return the battery of this instance; a new one begins from its saved state, if there is one."""
         if not self.tracked:
             self._reader.resume(self._resumption.meet(self._vehicle))
         if instance not in self.tracked:
@@ -140,13 +140,13 @@ class Batteries:
         return [note for note in found if note]
 
     def close(self, now_s: float) -> None:
-        """Write out what is held, and close the pack ledger."""
+        """Save the state, and close the pack ledger."""
         self.save(now_s)
         if self._keeper is not None:
             self._keeper.close(now_s)
 
     def save(self, now_s: float) -> None:
-        """Write out the state that is worth resuming, if a file is named for it and there is any."""
+        """Save the state that the next process may resume, if a file is configured and there is a state."""
         if self._keeper is not None:
             self._keeper.look_after(now_s)
         path = self._config.state.file
@@ -170,12 +170,12 @@ class Batteries:
 
     @property
     def _vehicle(self) -> state.SavedVehicle:
-        """The vehicle whose batteries are estimated, as far as it is known."""
+        """Return the identity of the vehicle whose batteries are estimated, as far as it is known."""
         reader = self._reader
         return state.SavedVehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
 
     def _saved(self, now_s: float) -> dict[str, SavedBattery]:
-        """Return the batteries that the next process may go on from: those of which nothing is too old."""
+        """Return the batteries that the next process may resume: those whose last row is not too old."""
         waited_s = self._resumption.age_s + now_s - self._start_s
         left = self._resumption.left(self._vehicle).items()
         silent = {key: replace(saved, since_row_s=saved.since_row_s + waited_s) for key, saved in left}
@@ -201,7 +201,7 @@ class Batteries:
         return clock.wall_s if clock.is_clock_set else math.nan
 
     def _remember(self, keeper: PackKeeper, row: LiveRow, now_s: float) -> None:
-        """On the ground the estimate begins with what is remembered of the pack; in the air its rows are kept."""
+        """Give the estimate the pack's health from the ledger while on the ground, and the ledger the row."""
         tracked, said = self.tracked[row.instance], self._reader.pack(row.instance)
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
         if known is not None and known.done() and tracked.is_open_to_memory(row.sample.armed):
@@ -213,7 +213,7 @@ class Batteries:
     def _found(self, now_s: float) -> Resumption:
         """Return the state that an earlier process has left for this one."""
         if not self._config.state.file:
-            return Resumption(state.Found(None, 0.0, ""))
+            return Resumption(state.FoundState(None, 0.0, ""))
         found = state.read_state(
             Path(self._config.state.file),
             SavedBattery,

@@ -1,8 +1,8 @@
-"""A battery component of its own: BATTERY_STATUS with our time, under an id that no autopilot battery uses.
+"""The feed `battery`: a battery component of its own, with BATTERY_STATUS under an id that no autopilot battery uses.
 
-System of the vehicle, component 180, HEARTBEAT MAV_TYPE_BATTERY at 1 Hz. Ids are taken from 8 downwards (ground
-stations list 0..8) once the autopilot's own are known; a battery whose id the autopilot takes moves on.
-Sent to ground-station endpoints only.
+It has the vehicle's system id, component 180, and sends HEARTBEAT (MAV_TYPE_BATTERY) at 1 Hz. Ids are taken from 8
+downwards (ground stations list 0..8) once the autopilot's own ids are known; if the autopilot uses an id later, ours
+changes. It goes to ground-station endpoints only.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ HIGHEST_ID = 8
 # MAV_BATTERY_CHARGE_STATE: undefined, ok, and low, critical, emergency below a time left [s].
 UNDEFINED, GOOD = 0, 1
 CHARGE_STATES = ((20.0, 4), (60.0, 3), (120.0, 2))
-LISTEN_S = 3.0  # the autopilot names its batteries in turn
+LISTEN_S = 3.0  # the autopilot sends its batteries one after the other
 
 
 class BatteryFeed:
-    """BatteryFeed makes HEARTBEAT each second and BATTERY_STATUS at `rate_Hz`, as of a battery component of its own."""
+    """BatteryFeed makes the frames of the battery component: HEARTBEAT each second, BATTERY_STATUS at `rate_Hz`."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
@@ -48,7 +48,7 @@ class BatteryFeed:
         return made
 
     def _id(self, instance: int, taken: set[int]) -> int | None:
-        """The id for the autopilot's battery `instance`; None when all are in use."""
+        """Return our id for the autopilot's battery `instance`; None if all ids are in use."""
         others = taken | {used for owner, used in self._ids.items() if owner != instance}
         held = self._ids.get(instance)
         if held is None or held in others:
@@ -75,10 +75,10 @@ def _frame(report: Report, now_s: float, battery_id: int, out: Outgoing) -> byte
 
 
 def charge_state(shown: Display) -> int:
-    """Return MAV_BATTERY_CHARGE_STATE by the time that the alarm goes by: a ground station colours its battery by it.
+    """Return MAV_BATTERY_CHARGE_STATE by the time left at worst; UNDEFINED if no time is known.
 
-    UNDEFINED where no time is known. It goes to ground stations only: what PX4 or ArduPilot does when a battery is
-    critical stays with their own monitors.
+    A ground station colours its battery symbol by it. It is sent to ground stations only, so that it never starts the
+    battery failsafe of PX4 or ArduPilot.
     """
     if not math.isfinite(shown.at_worst_s):
         return UNDEFINED

@@ -1,7 +1,7 @@
-"""`uavbatt.toml`: what the companion process is told. Every key has a default; scripts/uavbatt.toml shows them all.
+"""`uavbatt.toml`, the configuration of the companion process. Every key has a default; scripts/uavbatt.toml has all.
 
-Read from --config, else $UAVBATT_CONFIG, else /etc/uavbatt/uavbatt.toml where that exists; options of the command
-line override. An unknown key, a wrong type or an impossible value is named with its file.
+It is read from --config, else $UAVBATT_CONFIG, else /etc/uavbatt/uavbatt.toml if that exists. Options of the command
+line override it. An unknown key, a wrong type or an impossible value is an error that names the file and the key.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ FeedKind = Literal["proxy", "battery", "named"]
 
 Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Component = Annotated[int, msgspec.Meta(ge=1, le=255)]
-MOST = sys.float_info.max  # no number of a configuration is endless: JSON, by which the process gets it, has none
+MOST = sys.float_info.max  # infinity is not allowed: the process gets its configuration as JSON, which has none
 Positive = Annotated[float, msgspec.Meta(gt=0, le=MOST)]
 Rate = Annotated[float, msgspec.Meta(gt=0, le=50)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file is immutable, and every key of it is known."""
+    """A section of the file: immutable, and unknown keys are errors."""
 
 
 class LinkSection(Section, frozen=True):
@@ -43,12 +43,12 @@ class LinkSection(Section, frozen=True):
     request: bool = False
     request_rate_Hz: Rate = 10.0
     request_mission: bool = False
-    clock: bool = True  # the vehicle's clock tells how late its frames come; a simulation's may run slowly
+    clock: bool = True  # measure the delay of frames by the vehicle's clock; off for a simulation that runs slowly
     signing_key_file: str = ""
 
 
 class PackSection(Section, frozen=True):
-    """[pack] describes the battery; what is absent is asked of the vehicle, then of the battery file."""
+    """[pack] describes the battery; an absent value comes from the vehicle, then from the battery file."""
 
     battery: str = "lipo-generic"
     instance: Byte | None = None
@@ -65,14 +65,14 @@ class PackSection(Section, frozen=True):
 
 
 class PacksSection(Section, frozen=True):
-    """[packs] names the pack ledger; empty file: none. Without a name the pack's serial on the link names it."""
+    """[packs] names the pack ledger; empty file: no ledger. Without a name the pack is known by its serial number."""
 
     file: str = ""
     name: str = ""
 
 
 class FeedSection(Section, frozen=True):
-    """[feed] says how the ground station hears of the time left."""
+    """[feed] says how the time left is sent to the ground station."""
 
     kinds: tuple[FeedKind, ...] = ("named",)
     named_rate_Hz: Rate = 4.0
@@ -100,7 +100,7 @@ class RecordSection(Section, frozen=True):
 
 
 class StateSection(Section, frozen=True):
-    """[state] says where the state is saved that survives a crash; empty file: nowhere."""
+    """[state] says where the state is saved, from which the process goes on after a crash; empty file: nowhere."""
 
     file: str = ""
     period_s: Positive = 5.0
@@ -108,7 +108,7 @@ class StateSection(Section, frozen=True):
 
 
 class Config(Section, frozen=True):
-    """Config holds the whole file, a section each."""
+    """Config holds all sections of the file."""
 
     link: LinkSection = LinkSection()
     pack: PackSection = PackSection()
@@ -120,7 +120,7 @@ class Config(Section, frozen=True):
 
 
 def read_config(path: Path | None = None) -> Config:
-    """Return the configuration of `path`, or of the place that the environment names, or the defaults.
+    """Return the configuration in `path`, else in $UAVBATT_CONFIG, else in SYSTEM_FILE, else the defaults.
 
     Raises BadInput, which names the file and the key.
     """

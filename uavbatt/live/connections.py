@@ -1,13 +1,12 @@
-"""Limits of the page's connections: their number, and the time that one may be open without asking for anything.
+"""Limits of the page's connections: how many there may be, and how long one may be open without a request.
 
-Whoever connects takes a descriptor of the process that flies, before any token is asked: so the table is small
-(MOST_CONNECTIONS), and a connection on which no request is under way for REQUEST_WITHIN_S is closed, also one that
-sends its header a byte at a time. In a full table the newcomer gets the place of the connection that has been without
-a request for longest, else of the oldest stream (a browser opens its stream again): idle connections, however many,
-keep nobody from the page.
+A connection uses a file descriptor of the flying process before its token is checked. So there are MOST_CONNECTIONS at
+most, and one without a request for REQUEST_WITHIN_S is closed, even if it sends its header a byte at a time. If all
+places are taken, a new connection gets the place of the one that has been idle for longest, else of the oldest stream
+(a browser opens its stream again). So idle connections never keep anybody from the page.
 
-Little is held for a reader that is slower than its stream (SENT_AHEAD): what waits in a buffer is late, so that the
-stream waits instead, and goes on with what is known then.
+Little is held for a reader that is slower than its stream (SENT_AHEAD): data in a buffer would be late. The stream
+waits instead, and continues with what is known then.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ SENT_AHEAD = 4096  # bytes, some events; the system takes twice as much for its 
 
 
 class Connection(H11Protocol):
-    """A connection to the page has a place in the table of all."""
+    """Connection is one connection to the page, with a place in the table of all connections."""
 
-    table: dict[Connection, float]  # when it came, or its last answer was whole [s, clock of the loop]
+    table: dict[Connection, float]  # -> when it was made, or when its last answer was complete [s, clock of the loop]
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place in the table, another's if none is free."""
+        """Take a place in the table; if none is free, take another connection's."""
         if len(self.table) >= MOST_CONNECTIONS:
             min(self.table, key=lambda other: (other.is_asking, self.table[other])).drop()
         self.table[self] = self.loop.time()
@@ -40,7 +39,7 @@ class Connection(H11Protocol):
         self.loop.call_later(LOOK_PERIOD_S, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place in the table back."""
+        """Free the place in the table."""
         self.table.pop(self, None)
         super().connection_lost(exc)
 
@@ -52,16 +51,16 @@ class Connection(H11Protocol):
 
     @property
     def is_asking(self) -> bool:
-        """Return True if a request has come whole and its answer has not been sent whole."""
+        """Return True if a complete request has come and its answer is not completely sent."""
         return self.cycle is not None and not self.cycle.response_complete
 
     def drop(self) -> None:
-        """Close at once, without waiting until an answer has been fetched."""
+        """Close at once, without waiting for an answer to be sent."""
         self.table.pop(self, None)
         self.transport.abort()
 
     def _look(self) -> None:
-        """Close the connection if it has been idle for too long; else look again a second later."""
+        """Close the connection if it has been idle for too long; else check again a second later."""
         if self not in self.table:
             return
         if not self.is_asking and self.loop.time() - self.table[self] >= REQUEST_WITHIN_S:

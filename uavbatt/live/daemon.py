@@ -4,8 +4,8 @@
                |                                   |
                +-> recording (.tlog)               +-> recording (.jsonl), saved state
 
-Nothing in a turn waits: links do not block, and a slow reader is dropped. The clock is an argument. Only this loop
-feeds the watchdog and sends the heartbeat, so that both stop when the process hangs.
+Nothing in a turn waits: links do not block, and a slow reader is dropped. The clock is an argument, so that tests can
+set it. Only this loop feeds the watchdog and sends the heartbeat, so that both stop if the loop hangs.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from uavbatt.telemetry.formats.recording import PERIOD_NAME
 from uavbatt.telemetry.live import LiveRow
 
 LONGEST_WAIT_S = 0.1
-# A busy link wakes the loop 200 times a second at most; after a turn with FLOOD pieces or more it does not rest.
+# A busy link wakes the loop 200 times a second at most; after a turn with FLOOD pieces or more there is no pause.
 REST_S, FLOOD = 0.005, 32
 STATUS_PERIOD_S = 5.0
-STAMP_STEP_US = 4  # a tlog's times are true to 4 us
+STAMP_STEP_US = 4  # resolution of the times in a tlog [us]
 
 
 class Daemon:
-    """The daemon estimates every battery of one vehicle while it flies; `turn` is one pass of the loop."""
+    """Daemon estimates every battery of one vehicle in flight; `turn` is one pass of its loop."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class Daemon:
         return self._reader.armed
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
-        """Run the loop until told to stop, then write out what is held."""
+        """Run the loop until told to stop, then close everything."""
         notify("READY=1")
         while not is_stopped():
             descriptors = [fd for link in (self._link, *self._stations) for fd in link.filenos()]
@@ -99,13 +99,13 @@ class Daemon:
         self.close()
 
     def turn(self) -> int:
-        """Take in what has come and send what is due; return the number of pieces that came."""
+        """Read what has come in and send what is due; return the number of pieces that came in."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
         for frame in self._listener.frames(pieces):
             self._take(frame, now_s)
         for station in self._stations:
-            station.read(now_s)  # its requests are not ours to answer
+            station.read(now_s)  # read and dropped: we do not answer requests of a ground station
         late_s = self._reader.late_s
         known = {number: report.late_by(late_s) for number, report in self.batteries.reports.items()}
         reports = self._headline.in_order(known, now_s, self._reader.armed)
@@ -114,7 +114,7 @@ class Daemon:
         return len(pieces)
 
     def close(self) -> None:
-        """Write out what is held, release everything."""
+        """Save the state, close the recording and all links."""
         self.batteries.close(self._clock_s())
         if self._recorder is not None:
             self._recorder.close()
@@ -124,7 +124,7 @@ class Daemon:
             link.close()
 
     def _take(self, frame: HeardFrame, now_s: float) -> None:
-        """Take one whole and valid frame in."""
+        """Process one complete and valid frame."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
         rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
@@ -141,7 +141,7 @@ class Daemon:
                 self._step(row, now_s)
 
     def _begin_vehicle(self, now_s: float) -> None:
-        """Forget the last vehicle, as another one is followed from now on, and say so."""
+        """Drop the last vehicle, as another one is followed from now on, and announce it."""
         self._changes = self._reader.following.changes
         if self.batteries.reports:
             self.board.trend.forget()
@@ -160,7 +160,7 @@ class Daemon:
         self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: LiveRow, now_s: float) -> None:
-        """Estimate one row, and tell the proxy, which must know it before the next frame."""
+        """Estimate one row, and tell the proxy at once, so that the next frame carries the new time."""
         before = self.batteries.reports.get(row.instance)
         if before is not None and before.is_stale(now_s):
             self._sender.requests.begin_again()
@@ -195,7 +195,7 @@ class Daemon:
             notify(f"STATUS={self._words(now_s, reports)}")
 
     def _link_notes(self) -> list[str]:
-        """Links that are not open; each change is said once in the log, coming back as well."""
+        """Return the problems of links that are not open; each change goes to the log once."""
         names = (self.config.link.endpoint, *self.config.link.gcs)
         problems = {name: link.problem for name, link in zip(names, (self._link, *self._stations), strict=False)}
         for name, problem in problems.items():

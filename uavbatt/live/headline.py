@@ -1,11 +1,11 @@
 """Order of the batteries: the first one speaks for the vehicle, on the page, in REM_S and for the service manager.
 
-In flight those that carry it (`carriers`) before all others, even while nothing is known of them. Then fresh before
-stale; in flight those that give something before those that give nothing; then the one with the least time left, then
-by number. Two packs in parallel end within seconds of each other, so the first keeps its place until another has
-clearly less.
+In flight the batteries that carry it (`carriers`) come first, even while nothing is known of them. Then fresh ones come
+before stale ones; in flight those that give current before those that give none; then the one with the least time left;
+then the lowest number. Two packs in parallel end within seconds of each other, so the first keeps its place until
+another has clearly less time.
 
-A battery that gives nothing in flight while another carries it is said: what it holds is of no use to the aircraft.
+If a battery gives nothing in flight while another carries it, a warning says so: its charge does not help the aircraft.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from uavbatt.live.log import tell
 from uavbatt.live.report import Report
 from uavbatt.prediction.forecaster import NOT_FLYING
 
-NOTHING_SHARE = 0.02  # of the current of the battery that gives most; what the electronics draw is more of a small one
-NOTHING_AFTER_S = 3.0  # one row without a current is none
-CHANGES_AFTER_S = 1.0  # one row without a number takes nobody's place
-KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # the first keeps its place while no other has so much less
+NOTHING_SHARE = 0.02  # of the current of the battery that gives most; electronics draw more than that of a small one
+NOTHING_AFTER_S = 3.0  # one row without a current does not count
+CHANGES_AFTER_S = 1.0  # one row without a number does not change the order
+KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # another must have less than this share, or so much less, to become the first
 GIVES_NOTHING = "gives nothing"  # in the warning of its estimate
 
 
 class Headline:
-    """Headline keeps the order of the batteries; it remembers who was first, and since when one gives nothing."""
+    """Headline orders the batteries; it remembers which was first, and since when a battery gives nothing."""
 
     def __init__(self) -> None:
         self._first: int | None = None
@@ -40,7 +40,7 @@ class Headline:
     def in_order(self, reports: Mapping[int, Report], now_s: float, is_armed: bool | None = None) -> list[Report]:
         """Return the batteries, the one that speaks for the vehicle first.
 
-        now_s : on the monotonic clock [s]; is_armed : the vehicle's flag, None where nobody has told it.
+        now_s : on the monotonic clock [s]; is_armed : the vehicle's armed flag, None if it is not known
         """
         carriers = self._carriers.after(reports, now_s, is_armed)
         carrying = _carrying([r for i, r in reports.items() if not carriers or i in carriers], now_s)
@@ -79,7 +79,7 @@ class Headline:
         in_order.insert(0, first)
 
     def _idle(self, reports: Mapping[int, Report], carrying: Report | None, now_s: float) -> list[int]:
-        """Take in which batteries give nothing now; return those that have not for a while."""
+        """Note which batteries give nothing now; return those that have given nothing for NOTHING_AFTER_S."""
         for instance, report in reports.items():
             if carrying is None or report.is_stale(now_s) or not _gives_nothing(report, carrying):
                 self._nothing_since_s.pop(instance, None)
@@ -88,19 +88,19 @@ class Headline:
         return sorted(i for i, since_s in self._nothing_since_s.items() if now_s - since_s >= NOTHING_AFTER_S)
 
     def _tell(self, idle: Sequence[int]) -> None:
-        """Write it to the log, once for each battery."""
+        """Write the note of each idle battery to the log, once."""
         for instance, note in zip(idle, self.notes, strict=True):
             if instance not in self._told:
                 self._told.add(instance)
                 tell(note)
 
     def _rank(self, report: Report, is_flight: bool, is_idle: bool, now_s: float) -> tuple[bool, bool, float, int]:
-        """Return what puts a battery before another: the least comes first."""
+        """Return the sort key of a battery; the smallest comes first."""
         is_stale, is_first = report.is_stale(now_s), report.instance == self._first
         is_unknown = math.isnan(report.estimate.current_A)
         if is_stale:
             return True, is_unknown, -math.inf if is_first else math.inf, report.instance
-        if not is_flight:  # on the ground nothing but the number tells one from another
+        if not is_flight:  # on the ground they are ordered by number
             return False, is_unknown, math.inf, report.instance
         left_s = report.at(now_s).remaining_s
         left_s = left_s if math.isfinite(left_s) else math.inf
@@ -110,7 +110,7 @@ class Headline:
 
 
 def _carrying(reports: Sequence[Report], now_s: float) -> Report | None:
-    """Return the fresh battery that gives most of all in flight; None on the ground, and where none gives anything."""
+    """Return the fresh battery with the largest current in flight; None on the ground, or if none gives current."""
     fresh = [r for r in reports if not r.is_stale(now_s)]
     flying = [r for r in fresh if math.isfinite(r.flying_since_s) and r.estimate.current_A > 0.0]
     return max(flying, key=lambda report: report.estimate.current_A, default=None)
@@ -121,7 +121,7 @@ def _gives_nothing(report: Report, carrying: Report) -> bool:
 
 
 def _warned(report: Report, words: str) -> Report:
-    """Return the report with these words as a warning, and as the reason where it would wait for a take-off."""
+    """Return the report with these words as a warning, and as the reason if it would otherwise wait for take-off."""
     estimate = replace(report.estimate, warnings=(*report.estimate.warnings, words))
     reason = words if report.remaining.reason == NOT_FLYING else report.remaining.reason
     return replace(report, estimate=estimate, remaining=replace(report.remaining, reason=reason))

@@ -1,4 +1,4 @@
-"""The rows of one battery on their way into the pack ledger.
+"""The rows of one battery on their way to the pack ledger.
 
 rows -> means over ROW_S -> the last half minute on the ground, then the flight -> taken by the thread that writes
 """
@@ -15,7 +15,7 @@ from uavbatt.packs.airborne import ROW_S, Airborne
 from uavbatt.records import NAN, Sample
 
 BEFORE_S = 30.0  # of rest before the take-off, for the rested voltage
-MOST_ROWS = 3600  # that wait for the ledger: two hours
+MOST_ROWS = 3600  # that may wait to be written: two hours
 
 
 def _waiting() -> deque[Sample]:
@@ -23,41 +23,41 @@ def _waiting() -> deque[Sample]:
 
 
 @dataclass(slots=True)
-class Flying:
-    """Flying holds a flight in the air: the loop adds its rows, the thread that writes takes them."""
+class FlightInAir:
+    """FlightInAir holds a flight in the air: the loop adds rows, the writing thread takes them."""
 
     flight: Airborne
     start_s: float  # monotonic
-    number: int | None = None  # in the ledger; None until that has taken it
-    rows: deque[Sample] = field(default_factory=_waiting)  # that the ledger has not taken; times from the start
+    number: int | None = None  # in the ledger; None until it is stored
+    rows: deque[Sample] = field(default_factory=_waiting)  # not stored yet; times from the start
     writing: Future[None] | None = None
 
     @property
     def is_to_be_written(self) -> bool:
-        """Return True if no writing waits for its turn, which would take all rows that are there by then."""
+        """Return True if no write is queued; a queued one will take all rows that are there by then."""
         return self.writing is None or self.writing.running() or self.writing.done()
 
     def taken(self) -> list[Sample]:
-        """Return the rows that wait, which wait no longer."""
+        """Remove and return the rows that wait."""
         return [self.rows.popleft() for _ in range(len(self.rows))]
 
     def give_back(self, rows: list[Sample]) -> None:
-        """Let rows that were taken wait again, before those that have come meanwhile."""
+        """Put rows back, before those that have come since."""
         self.rows.extendleft(reversed(rows))
 
 
 @dataclass(slots=True)
-class Kept:
-    """Kept holds what is kept of one battery: whose pack it is, its rows on the ground, and its flight."""
+class KeptBattery:
+    """KeptBattery holds the pack name of one battery, its health, its rows on the ground, and its flight."""
 
     name: str
     health: Future[PackHealth | None]
     cycles: int | None = None
-    flying: Flying | None = None
+    flying: FlightInAir | None = None
     disarmed_s: float = NAN
     last_s: float = NAN
     block: list[Sample] = field(default_factory=list)
-    rows: deque[Sample] = field(default_factory=_waiting)  # of no flight yet; monotonic times
+    rows: deque[Sample] = field(default_factory=_waiting)  # before the flight; monotonic times
     flushed_s: float = -math.inf
 
     def add(self, sample: Sample, now_s: float) -> None:
@@ -69,19 +69,19 @@ class Kept:
             self.block = []
 
     def settle(self, is_armed: bool, now_s: float) -> None:
-        """Note since when the pack is disarmed, and forget what is long before a take-off."""
+        """Note since when the pack is disarmed, and drop rows that are too old to precede a take-off."""
         self.disarmed_s = NAN if is_armed else self.disarmed_s if math.isfinite(self.disarmed_s) else now_s
         while self.flying is None and self.rows and self.rows[0].time_s < now_s - BEFORE_S:
             self.rows.popleft()
 
-    def hand_over(self, flying: Flying) -> None:
+    def hand_over(self, flying: FlightInAir) -> None:
         """Add the rows to the flight."""
         flying.rows.extend(replace(row, time_s=row.time_s - flying.start_s) for row in self.rows)
         self.rows.clear()
 
 
 def mean_row(block: list[Sample]) -> Sample:
-    """Return rows together as one, at their mean time."""
+    """Return the mean of several rows as one row."""
     temps = [row.temp_C for row in block if math.isfinite(row.temp_C)]
     count = len(block)
     return Sample(

@@ -1,7 +1,7 @@
-"""Bytes of the autopilot's link -> whole frames with a good checksum and, where there is a key, a good signature.
+"""Bytes of the autopilot's link -> complete frames with a good checksum and, if there is a key, a good signature.
 
-The bytes of each sender are searched separately. What the operator should know of the link (who is heard, what is
-rejected and why) stands in `notes`, and once in the log.
+The bytes of each sender are searched separately. `notes` tells the operator who is heard, and what is rejected and why;
+each note goes to the log once.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_TOLD = 100  # notes that go to the log
 
 
 class HeardFrame(NamedTuple):
-    """HeardFrame holds a whole and valid frame with its sender."""
+    """HeardFrame holds a complete and valid frame with its sender."""
 
     data: bytes
     header: framing.Header
@@ -30,7 +30,7 @@ class HeardFrame(NamedTuple):
 
 
 class Listener:
-    """The listener finds frames, checks them, and counts what was wrong."""
+    """Listener finds frames, checks them, and counts the bad ones."""
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
@@ -43,11 +43,11 @@ class Listener:
         self._verifier = Verifier(key) if key is not None else None
         self._frames: dict[object, framing.Frames] = {}
         self._has_proxy = "proxy" in config.feed.kinds
-        self._signing: dict[tuple[int, int], bool] = {}  # whose battery messages are signed
+        self._signing: dict[tuple[int, int], bool] = {}  # (system, component) -> its battery messages are signed
         self._told: set[str] = set()
 
     def frames(self, pieces: Iterable[Chunk]) -> Iterator[HeardFrame]:
-        """Yield the frames in what has come in, in order."""
+        """Yield the good frames in the pieces that have come in, in order."""
         for data, sender in pieces:
             if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
                 self._frames.pop(next(iter(self._frames)))

@@ -6,8 +6,8 @@
     autopilot  MISSION_ITEM_INT 0 ...
     we         MISSION_ACK                 when the mission is whole, or when we break off
 
-Asked while the mission that the autopilot holds is not known. Never while another station is transferring one: then we
-break off and wait until it has been silent. What the autopilot answers is heard like any other transfer.
+It asks while the autopilot's mission is not known. It never asks while another station is transferring a mission: then
+it breaks off and waits until that station is silent. The answers are read like any other transfer on the link.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from uavbatt.telemetry.route.messages import NavigationListener
 
 LIST_PAUSE_S, MOST_LIST_REQUESTS = 2.0, 3
 ITEM_PAUSE_S, LONGEST_ITEM_PAUSE_S, MOST_ITEM_REQUESTS = 1.0, 4.0, 5
-REST_S, LONGEST_REST_S = 10.0, 120.0  # after a reading that came to nothing
+REST_S, LONGEST_REST_S = 10.0, 120.0  # after a reading that failed
 
 
 class MissionRequest:
@@ -25,8 +25,8 @@ class MissionRequest:
 
     def __init__(self) -> None:
         self._is_reading = False
-        self._seq: int | None = None  # the item that was asked for last; None: how many there are
-        self._times = 0  # how often that was asked
+        self._seq: int | None = None  # the item that was asked for last; None: the number of items
+        self._times = 0  # how often it was asked for
         self._next_s = float("-inf")
         self._rest_s = REST_S
 
@@ -34,7 +34,7 @@ class MissionRequest:
                out: Outgoing) -> list[bytes]:  # fmt: skip
         """Return the requests that are due.
 
-        now_s : monotonic [s]; time_s : of the vehicle [s]; route : what is heard of it; component : the autopilot's
+        now_s : monotonic [s]; time_s : vehicle's time [s]; route : mission messages heard; component : the autopilot's
         """
         is_others = route.transfer.is_others(time_s)
         if self._is_reading:
@@ -49,7 +49,7 @@ class MissionRequest:
         return self._ask(now_s, None, component, out)
 
     def _go_on(self, now_s: float, missing: int | None, component: int, out: Outgoing) -> list[bytes]:
-        """Ask for what is missing: at once for another item than before, again when a pause is over."""
+        """Ask for the missing item: at once if it is another than before, else again after a pause."""
         if missing != self._seq and missing is not None:
             self._times = 0
             return self._ask(now_s, missing, component, out)
@@ -68,7 +68,7 @@ class MissionRequest:
         return [out.mission_item_request(component, seq)]
 
     def _end(self, now_s: float, component: int, out: Outgoing, is_whole: bool) -> list[bytes]:
-        """End the reading; one that came to nothing is tried again after a rest that grows."""
+        """End the reading; a failed one is tried again after a pause that grows."""
         self._is_reading = False
         self._next_s = now_s + self._rest_s
         self._rest_s = REST_S if is_whole else min(2.0 * self._rest_s, LONGEST_REST_S)

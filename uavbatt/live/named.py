@@ -1,11 +1,10 @@
-"""The default feed: NAMED_VALUE_FLOAT of every battery, which no ground station takes for a measurement.
+"""The default feed `named`: NAMED_VALUE_FLOAT of every battery. No ground station takes it for a measurement.
 
-Alarms are sent by `announced`.
-
-Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery, where a route or home is known TURN_S [s] and
-HOME_SOC [0..1], seconds until the turn-back and charge after turning now; `_N` behind it for battery N. What is not
-known is NaN, never 0. Who is first may change in flight (`headline`): names that fall away then stay NaN, for a ground
-station keeps what it heard last, and what is sent once may be lost.
+Names of the first battery: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1]. If a route or home is known, also TURN_S [s],
+the time until it must turn back, and HOME_SOC [0..1], the charge at home after turning back now. Names of battery N end
+in `_N`. An unknown value is NaN, never 0. The first battery may change in flight (`headline`): names that are no longer
+used stay NaN, because a ground station keeps the last value it heard, and a single message may be lost. Alarms are sent
+by `announced`.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ class NamedFeed:
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
         self._next_s = -math.inf
-        self._names: dict[str, None] = {}  # that were sent so far, in order
+        self._names: dict[str, None] = {}  # names that were sent so far, in order
 
     def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
         """Return the frames that are due; `now_s` on the monotonic clock [s]."""
@@ -47,6 +46,6 @@ class NamedFeed:
         return [out.named_value(name, value, int(now_s * 1000)) for name, value in values.items()]
 
     def ended(self, now_s: float, out: Outgoing) -> list[bytes]:
-        """Return the frames that make every name unknown which was sent for a vehicle that is followed no longer."""
+        """Return frames that set all names to unknown, for a vehicle that is no longer followed."""
         gone, self._names = self._names, {}
         return [out.named_value(name, math.nan, int(now_s * 1000)) for name in gone]

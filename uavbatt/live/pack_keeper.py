@@ -1,12 +1,13 @@
-"""The pack ledger in the companion process: gives the health of a pack on the ground, and takes in what a flight shows.
+"""The pack ledger in the companion process: it gives the health of a pack on the ground, and stores each flight.
 
     serial or --pack  -> prior of the estimator, on the ground
     rows in the air   -> the ledger's airborne rows, every few seconds: a process that dies loses none of them
-    landing           -> what the flight taught, saved
+    landing           -> the record of the flight, saved
 
-The disk may be slow and another program may write: all of it is done by one thread beside the loop, which never waits.
-What the ledger did not take is kept and written again, with the next rows or after the landing.
-A flight that another process left may be in the air still: it is landed only when no rows of it have come meanwhile.
+The disk may be slow, and another program may hold the ledger. So one thread beside the loop does all the writing, and
+the loop never waits. Rows that could not be written are kept and written with the next ones, or after the landing.
+
+A flight that an earlier process left may still be in the air. It counts as landed only if no rows have come since.
 """
 
 from __future__ import annotations
@@ -22,24 +23,24 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.live.kept_flight import Flying, Kept
+from uavbatt.live.kept_flight import FlightInAir, KeptBattery
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
-from uavbatt.packs.remembering import recalled, taught
+from uavbatt.packs.remembering import flight_for_ledger, health_before
 from uavbatt.records import Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
 LANDED_S = 20.0  # of rest after the landing, for the rested voltage
 FLIGHT_SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
-MOST_LANDING = 8  # flights that wait for the ledger
+MOST_LANDING = 8  # flights that wait to be written
 
 Result = TypeVar("Result")
 
 
 class PackKeeper:
-    """The keeper takes rows of batteries in, gives the priors of their packs, and saves their flights in the ledger."""
+    """PackKeeper takes the rows of each battery, gives the health of its pack, and saves its flights in the ledger."""
 
     def __init__(
         self,
@@ -52,8 +53,8 @@ class PackKeeper:
         """`utc_s` turns a monotonic time [s] into seconds since 1970, NaN while the clock is not set."""
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
-        self._kept: dict[int, Kept] = {}
-        self._landing: deque[tuple[Kept, Flying]] = deque(maxlen=MOST_LANDING)  # that the ledger did not take
+        self._kept: dict[int, KeptBattery] = {}
+        self._landing: deque[tuple[KeptBattery, FlightInAir]] = deque(maxlen=MOST_LANDING)  # not yet in the ledger
         self.note = ""
         self._ledger = Ledger(path)
         self._left_over = {left.number: left for left in airborne.left_over(self._ledger)}
@@ -66,10 +67,10 @@ class PackKeeper:
         self._kept.clear()
 
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
-        """Return what is remembered of the pack of a battery, once it has a name; None while it has none.
+        """Return the future health of a battery's pack; None while the pack has no name.
 
-        Of two batteries under one name only the first is remembered. `cycles` may be told later than the name. What a
-        flight has taught is remembered from its landing on.
+        If two batteries have the same name, only the first is kept. `cycles` may come later than the name. A flight
+        counts from its landing on.
         """
         name = self._stated or serial
         kept = self._kept.get(instance)
@@ -84,7 +85,7 @@ class PackKeeper:
             return None
         if kept is None:
             health = self._worker.submit(self._noting_errors, self._met, name, now_s)
-            self._kept[instance] = kept = Kept(name, health)
+            self._kept[instance] = kept = KeptBattery(name, health)
         kept.cycles = cycles if cycles is not None else kept.cycles
         return kept.health
 
@@ -101,7 +102,7 @@ class PackKeeper:
         kept.settle(bool(sample.armed), now_s)
 
     def look_after(self, now_s: float) -> None:
-        """Write the rows that are due, and save what a flight taught when it is over."""
+        """Write the rows that are due, and save the record of each flight that is over."""
         for kept in self._kept.values():
             if kept.flying is None:
                 continue
@@ -119,7 +120,7 @@ class PackKeeper:
                 self._worker.submit(self._noting_errors, self._learned_unless_grown, left)
 
     def close(self, now_s: float) -> None:
-        """Write what is held; a flight that is still in the air stays airborne in the ledger."""
+        """Write all rows that wait; a flight that is still in the air stays open in the ledger."""
         for kept in self._kept.values():
             if kept.flying is not None:
                 self._flush(kept, kept.flying, now_s)
@@ -127,33 +128,34 @@ class PackKeeper:
         self._worker.shutdown()
         self._ledger.close()
 
-    def _take_off(self, kept: Kept, now_s: float, cells: int, capacity_Ah: float) -> None:
-        """The pack is armed: its rows go into the ledger from now on, on top of those of a process that died."""
+    def _take_off(self, kept: KeptBattery, now_s: float, cells: int, capacity_Ah: float) -> None:
+        """Begin a flight when the pack is armed, or go on with the flight of a process that died."""
         every = [left for left in list(self._left_over.values()) if left.flight.name == kept.name]
         left = next((left for left in reversed(every) if self._is_resumable(left, now_s)), None)
         if left is not None:  # the last one; what cannot be resumed `look_after` lands
             del self._left_over[left.number]
             self._ask_s.pop(left.number, None)
             start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
-            kept.flying = Flying(left.flight, start_s, left.number)
+            kept.flying = FlightInAir(left.flight, start_s, left.number)
             return
         start_s = kept.rows[0].time_s if kept.rows else now_s
         flight = Airborne(kept.name, self._utc_s(start_s), cells, capacity_Ah, kept.cycles)
-        kept.flying = Flying(flight, start_s)
+        kept.flying = FlightInAir(flight, start_s)
         self._flush(kept, kept.flying, now_s)
 
     def _is_resumable(self, left: LeftOver, now_s: float) -> bool:
-        """Return True if the flight may be going on still; without a clock, then or now, nobody knows its age."""
+        """Return True if the flight may still be in the air; False if a clock was not set, so that its age is
+        unknown."""
         return 0.0 <= self._utc_s(now_s) - left.last_utc_s <= RESUMED_WITHIN_S
 
-    def _flush(self, kept: Kept, flying: Flying, now_s: float) -> None:
+    def _flush(self, kept: KeptBattery, flying: FlightInAir, now_s: float) -> None:
         kept.flushed_s = now_s
         kept.hand_over(flying)
         if flying.is_to_be_written:
             flying.writing = self._worker.submit(self._noting_errors, self._write, flying)
 
-    def _write(self, flying: Flying) -> None:
-        """Store a flight and its rows; what the ledger does not take now is stored the next time."""
+    def _write(self, flying: FlightInAir) -> None:
+        """Store a flight and its rows; rows that cannot be written now are stored the next time."""
         if flying.number is None:
             flying.number = airborne.store_flight(self._ledger, flying.flight)
         rows = flying.taken()
@@ -163,8 +165,8 @@ class PackKeeper:
             flying.give_back(rows)
             raise
 
-    def _land(self, kept: Kept) -> None:
-        """The flight is over: what it taught is saved, and known the next time the pack is met."""
+    def _land(self, kept: KeptBattery) -> None:
+        """End the flight and save its record, which counts the next time the pack is connected."""
         if kept.flying is None:
             return
         flying, kept.flying = kept.flying, None
@@ -172,17 +174,17 @@ class PackKeeper:
         kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
 
     def _land_again(self) -> None:
-        """Try once more to land the flights that the ledger did not take."""
+        """Try again to save the landed flights that could not be written."""
         for _ in range(len(self._landing)):
             kept, flying = self._landing.popleft()
             kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
 
-    def _landed(self, kept: Kept, flying: Flying) -> PackHealth | None:
-        """Save what a flight taught, and return what is remembered of the pack now."""
+    def _landed(self, kept: KeptBattery, flying: FlightInAir) -> PackHealth | None:
+        """Save the record of a flight, and return the new health of the pack."""
         try:
             self._write(flying)
         except UavbattError:
-            if flying.number is None or self._airborne(flying.number) is not None:  # else the pack was forgotten
+            if flying.number is None or self._airborne(flying.number) is not None:  # else the user deleted the pack
                 self._landing.append((kept, flying))
             raise
         assert flying.number is not None
@@ -190,7 +192,7 @@ class PackKeeper:
         return self._recalled(kept.name, kept.last_s)
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
-        """Run work of the thread; an error becomes the note, gives nothing, and does not end the process."""
+        """Run work in the thread; on an error set the note and return None, so that the process goes on."""
         try:
             return work(*arguments)
         except UavbattError as error:
@@ -209,7 +211,7 @@ class PackKeeper:
         return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
 
     def _learned_unless_grown(self, was: LeftOver) -> None:
-        """Land a flight of another process, or wait on if it flies still, or if its number is another flight's now."""
+        """Save the flight of an earlier process, or wait longer if it has new rows or its number is reused."""
         now = self._airborne(was.number)
         if now is not None and (now.flight != was.flight or len(now.rows) > len(was.rows)):
             self._left_over[now.number] = now
@@ -227,7 +229,8 @@ class PackKeeper:
         facts = PackFacts(cells_series=flight.cells, capacity_Ah=flight.capacity_Ah)
         identity = Identity(battery_serial=flight.name, battery_cycles=flight.cycles, start_utc_s=flight.start_utc_s)
         log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
-        found = taught(self._battery, self._options, log, recalled(self._ledger, flight.name, log, self._battery))
+        before = health_before(self._ledger, flight.name, log, self._battery)
+        found = flight_for_ledger(self._battery, self._options, log, before)
         if found.record is None:
             airborne.delete_flight(self._ledger, number)
             self.note = f"pack {flight.name}: nothing learned: {found.why_not}"

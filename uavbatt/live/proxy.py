@@ -1,16 +1,16 @@
-"""The proxy between autopilot and ground stations: a small process of its own, which goes on when the estimator fails.
+"""The proxy between autopilot and ground stations: a small process of its own that goes on if the estimator fails.
 
     autopilot <-> proxy <-> ground stations          every byte as it came, in both directions, but:
                     ^                                BATTERY_STATUS of a battery whose time is known gets the time
                     | control socket (unix stream)
-                estimator                            hears every byte of the autopilot and the missions that are
-                                                     written to it, says what is left
+                estimator                            gets every byte of the autopilot, and missions that are written
+                                                     to it; sends the time left
 
-Rewritten: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id that
-the estimator named less than 3 s ago (its time less its age, at least 1 s; an autopilot's own time only while ours
-is `ok`). The original reaches the estimator, which records it; a time that was replaced is logged. A datagram stays one
-datagram; a stream's partial frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) |
-body`.
+Rewritten frames: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id
+for which the estimator sent a time less than 3 s ago. The new time is that time less its age, at least 1 s. A time of
+the autopilot's own is replaced only while ours is `ok`, and the replacement is logged. The estimator gets the original
+frame and records it. A datagram stays one datagram; a stream's partial frame waits at most 20 ms. Control messages:
+`kind (1 byte) | length (u16, little endian) | body`.
 
 Run as `python -m uavbatt.live.proxy JSON` with the keys of `ProxySettings`. Standard library only.
 """
@@ -41,12 +41,12 @@ LOG_PERIOD_S = 10.0
 HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
 TELEMETRY, STATS, FROM, STATION = b"T", b"P", b"F", b"S"
 WRITES_MISSION = frozenset((38, 39, 44, 45, 73))  # MISSION_ WRITE_PARTIAL_LIST, ITEM, COUNT, CLEAR_ALL, ITEM_INT
-MOST_STATIONS = 16  # whose frames are put together at a time
+MOST_STATIONS = 16  # ground stations whose frames are put together
 LONGEST_BODY = 60_000
 
 
 class ProxySettings(NamedTuple):
-    """The proxy gets these settings at its start."""
+    """ProxySettings holds the settings that the proxy gets at its start."""
 
     autopilot: str
     gcs: list[str]
@@ -62,13 +62,13 @@ def message(kind: bytes, body: bytes) -> bytes:
 
 
 class Messages:
-    """Messages cuts a control stream into messages."""
+    """Messages splits a control stream into messages."""
 
     def __init__(self) -> None:
         self._data = b""
 
     def feed(self, data: bytes) -> list[tuple[bytes, bytes]]:
-        """Return (kind, body) of every message that is whole now."""
+        """Return (kind, body) of every message that is complete now."""
         self._data += data
         made = []
         while len(self._data) >= 3:
@@ -105,7 +105,7 @@ class Control:
             made.setblocking(False)
             self.close_client()
             self._client, self._messages = Pipe(made.fileno(), made), Messages()
-        except OSError:  # nobody, or one who has gone again
+        except OSError:  # no client waits, or it has gone again
             pass
         if self._client is None:
             return []
@@ -116,7 +116,7 @@ class Control:
         return self._messages.feed(data) if data else []
 
     def write(self, kind: bytes, body: bytes) -> None:
-        """Tell the estimator, if it listens; a long body goes in parts."""
+        """Send a message to the estimator, if it is connected; a long body goes in parts."""
         for at in range(0, max(len(body), 1), LONGEST_BODY):
             if self._client is not None and not self._client.write(message(kind, body[at : at + LONGEST_BODY])):
                 self.close_client()
@@ -136,7 +136,7 @@ class Control:
 
 
 class Proxy:
-    """The proxy passes bytes on in a loop; `turn` is one pass of it."""
+    """Proxy passes bytes on in a loop; `turn` is one pass of it."""
 
     def __init__(self, settings: ProxySettings) -> None:
         self._settings = settings
@@ -147,7 +147,7 @@ class Proxy:
         self._splitters: dict[object, tuple[Splitter, float]] = {}
         self._written: dict[object, Frames] = {}
         self._log_s = float("-inf")
-        self._from = ""  # whose telemetry the estimator was given last
+        self._from = ""  # sender of the telemetry that the estimator got last
         self._first_stream: object = None
         self.is_asked_to_quit = False
 
@@ -179,7 +179,7 @@ class Proxy:
             self._log_replaced()
 
     def _log_replaced(self) -> None:
-        """The autopilot's own times that were replaced since the last line."""
+        """Log the autopilot's own times that were replaced since the last line."""
         told, self.rewriter.replaced = self.rewriter.replaced, {}
         for (system, component, battery), (own_s, left_s) in told.items():
             place = f"system {system} component {component} battery {battery}"
@@ -210,10 +210,10 @@ class Proxy:
         self._to_estimator(data, sender)
 
     def _to_estimator(self, data: bytes, sender: object) -> None:
-        """Telemetry, and before it who sent it, if that was another than the last."""
+        """Send telemetry to the estimator, and before it the sender if that has changed."""
         if isinstance(sender, tuple):
             place = f"{sender[0]}:{sender[1]}"
-        else:  # streams have no name: the first is the rule
+        else:  # streams have no name; usually there is only one, which gets the empty name
             self._first_stream = self._first_stream or sender
             place = "" if sender is self._first_stream else str(id(sender))
         if place != self._from:
@@ -222,7 +222,7 @@ class Proxy:
         self.control.write(TELEMETRY, data)
 
     def _missions_to_estimator(self, data: bytes, sender: object) -> None:
-        """Frames by which a ground station writes a mission: the estimator shall know the route."""
+        """Send frames with which a ground station writes a mission to the estimator, which needs the route."""
         if sender not in self._written and len(self._written) >= MOST_STATIONS:
             self._written.pop(next(iter(self._written)))
         for frame in self._written.setdefault(sender, Frames()).feed(data):
@@ -263,7 +263,7 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: stopped.append(signum))
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    with suppress(OSError):  # frames go before everything else, where that is allowed
+    with suppress(OSError):  # highest priority for frames, if that is allowed
         os.nice(-10 - os.nice(0))
     try:
         proxy = Proxy(ProxySettings(**json.loads(sys.argv[1])))

@@ -1,7 +1,7 @@
-"""The estimator's side of the proxy: starts it or finds it running, hears the autopilot through it, tells it the time.
+"""The estimator's side of the proxy: it starts the proxy or finds it running, reads telemetry, and sends the time left.
 
-The rest of the process uses it as its link to the autopilot. The proxy runs in a session of its own: when this process
-dies it goes on passing frames, and the next one attaches to it. A proxy that is gone is started again.
+The rest of the process uses it as its link to the autopilot. The proxy runs in a session of its own: if this process
+dies, the proxy goes on passing frames, and the next process connects to it. A proxy that has died is started again.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ STATUS_CODES = {Status.OK: rewriter.OK, Status.CONVERGING: rewriter.CONVERGING}
 
 
 def control_path(autopilot: str) -> str:
-    """Return where an endpoint's proxy listens: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder.
+    """Return the path of a proxy's socket: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder.
 
-    Raises UsageError where the folder cannot be made or is another user's.
+    Raises UsageError if the folder cannot be made or belongs to another user.
     """
     named = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR", "")
     folder = Path(named) if named else Path(tempfile.gettempdir()) / f"uavbatt-{os.getuid()}"
@@ -60,7 +60,7 @@ class ProxyClient:
         self._child: subprocess.Popen[bytes] | None = None
         self._hello_s = self._next_s = float("-inf")
         self._pause_s = SHORTEST_PAUSE_S
-        self._from = ""  # whose telemetry comes
+        self._from = ""  # sender of the telemetry that follows
         self.pid = 0
         self.rewritten = 0
         self.problem = ""  # of the proxy's link to the autopilot
@@ -80,23 +80,26 @@ class ProxyClient:
             self._hello_s = now_s + HELLO_PERIOD_S
             self._tell(proxy.HELLO, b"")
         found: list[Chunk] = []
-        while self._pipe is not None:
-            data = self._pipe.read()
+        while self._pipe is not None and (data := self._pipe.read()) != b"":
             if data is None:
                 self._lost(now_s)
-            elif not data:
                 break
-            else:
-                for kind, body in self._messages.feed(data):
-                    if kind == proxy.TELEMETRY:
-                        found.append((body, self._from))
-                    elif kind == proxy.FROM:
-                        self._from = body.decode("ascii", "replace")
-                    elif kind == proxy.STATION:
-                        found.append((body, proxy.STATION))
-                    elif kind == proxy.STATS:
-                        self._stats(body)
+            for message in self._messages.feed(data):
+                found += self._chunks(message)
         return found
+
+    def _chunks(self, message: tuple[bytes, bytes]) -> list[Chunk]:
+        """Return the bytes that a message of the proxy carries, and take in what it says of the proxy."""
+        kind, body = message
+        if kind == proxy.TELEMETRY:
+            return [(body, self._from)]
+        if kind == proxy.STATION:
+            return [(body, proxy.STATION)]
+        if kind == proxy.FROM:
+            self._from = body.decode("ascii", "replace")
+        elif kind == proxy.STATS:
+            self._stats(body)
+        return []
 
     def write(self, data: bytes, now_s: float) -> None:
         """Send a frame to the autopilot; the proxy passes it on only if it was started for that."""
@@ -108,7 +111,7 @@ class ProxyClient:
         self._tell(proxy.TO_GCS, data)
 
     def estimate(self, report: Report, now_s: float) -> None:
-        """Tell the proxy the time left; a refusal is told as well, so that frames pass unchanged from then on."""
+        """Send the time left to the proxy; also a refusal, so that frames pass unchanged from then on."""
         shown = report.at(now_s)
         known = STATUS_CODES.get(shown.status, rewriter.NOTHING)
         body = struct.pack(
@@ -119,7 +122,7 @@ class ProxyClient:
         self._tell(proxy.ESTIMATE, body)
 
     def close(self) -> None:
-        """Close the connection to the proxy, which goes on."""
+        """Close the connection to the proxy, which keeps running."""
         if self._pipe is not None:
             self._pipe.close()
         self._pipe = None
@@ -161,7 +164,7 @@ class ProxyClient:
 
     def _start(self, now_s: float) -> None:
         if self._child is not None and self._child.poll() is None:
-            self._next_s = now_s + 0.05  # it is on its way
+            self._next_s = now_s + 0.05  # the proxy is starting
             return
         if self._child is not None:
             self._child = None
@@ -174,15 +177,15 @@ class ProxyClient:
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
             )
-        except OSError as error:  # no memory, no descriptor: it may come right
+        except OSError as error:  # no memory or no descriptor: this may pass
             self.problem = f"the proxy does not start: {error.strerror}"
             self._pause(now_s)
             return
         self._next_s = now_s + 0.05
-        os.nice(max(GENTLE - os.nice(0), 0))  # frames go before estimates
+        os.nice(max(GENTLE - os.nice(0), 0))  # frames have priority over estimates
 
     def _pause(self, now_s: float) -> None:
-        """Try again later, each time twice as much later."""
+        """Try again after a pause, which doubles each time."""
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
         self._next_s = now_s + self._pause_s
 

@@ -1,11 +1,11 @@
 """The recording: raw frames as `NAME.tlog`, the estimates of each battery as `NAME.batteryN.jsonl` beside it.
 
 tlog: `time (u64, big endian, microseconds since 1970) | frame`. A recording begins with the vehicle's battery
-parameters and its heartbeat as they are known, so that it can be replayed on its own; times of the JSON lines count
-from its first frame. A new one begins when a file has grown to its limit and, for `while-armed`, at an arming; armed
-again within RESUMED_WITHIN_S, the last one goes on. When there are more than `max_files` the oldest go, those of less
-than SHORT_S before all others: neither an armed bit that flaps nor a process that is started again and again pushes
-flights out. A full disk stops the recording, never the process: it is tried again.
+parameters and heartbeat, as far as they are known, so that it can be replayed on its own. Times in the JSON lines count
+from its first frame. A new recording begins when the file has reached its size limit and, with `while-armed`, at each
+arming; if the vehicle is armed again within RESUMED_WITHIN_S, the last recording goes on. If there are more than
+`max_files`, the oldest are deleted, but recordings shorter than SHORT_S first: so a flapping armed bit or a process
+that restarts again and again deletes no flights. A full disk stops the recording, never the process; it tries again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MB = 1_000_000
 
 
 class Recorder:
-    """The recorder writes while the disk has room; `problem` says why it does not."""
+    """Recorder writes the recording; `problem` says why it does not write."""
 
     def __init__(self, settings: RecordSection) -> None:
         self._settings = settings
@@ -48,7 +48,7 @@ class Recorder:
         self._is_stop_told = False
 
     def remember(self, key: bytes, frame: bytes) -> None:
-        """Keep a frame of ours that every new recording shall begin with; the last one of a key stays."""
+        """Keep a frame of ours with which every new recording begins; a newer one of the same key replaces it."""
         self._prelude[key] = frame
 
     def remembers(self, key: bytes) -> bool:
@@ -56,7 +56,7 @@ class Recorder:
         return key in self._prelude
 
     def begin_anew(self, words: Mapping[bytes, bytes]) -> None:
-        """Begin a new recording for another vehicle; `words` are its frames that the recording begins with, by key."""
+        """Begin a new recording for another vehicle; `words` are the vehicle's frames at its beginning, by key."""
         self.close()
         self._prelude, self.words = {}, words
 
@@ -93,7 +93,7 @@ class Recorder:
             self._failed(error.strerror or str(error), now_s)
 
     def flush(self, now_s: float) -> None:
-        """Hand what is buffered to the operating system, once a second."""
+        """Flush buffered data to the operating system, once a second."""
         if now_s < self._flush_s:
             return
         self._flush_s = now_s + FLUSH_S
@@ -137,7 +137,7 @@ class Recorder:
         return next(name for name in names if not (self._folder / f"{name}.tlog").exists())
 
     def _look(self, now_s: float) -> None:
-        """Close a file that has grown to its limit, and stop while the disk is too full; checked every LOOK_S."""
+        """Every LOOK_S, close a file that has reached its size limit, and stop if the disk is too full."""
         self._look_s = now_s + LOOK_S
         assert self._raw is not None
         if self._raw.tell() > self._settings.max_file_MB * MB:

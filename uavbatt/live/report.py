@@ -1,7 +1,7 @@
-"""Report of a battery at this moment, for every feed: the last estimate, less its age, or the reason for none.
+"""Report of a battery at this moment, for every feed: the last estimate, or the reason why there is none.
 
-One rule for all of them: STALE_AFTER_S without telemetry and nothing is known any more; a refused number is NaN;
-a known time is counted down by the age of the row that it was made for.
+The rules are the same for all feeds: after STALE_AFTER_S without telemetry nothing is known; a refused number is NaN; a
+known time is reduced by the age of its row.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
-LATE_S, TOO_LATE_S = 3.0, 10.0  # by the vehicle's own clock: said and deducted, and nothing is known any more
+LATE_S, TOO_LATE_S = 3.0, 10.0  # delay by the vehicle's clock: from the first it is subtracted, beyond the second stale
 LATE = "the telemetry comes late"  # begins a warning or a reason
 NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
@@ -24,7 +24,7 @@ TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """Display holds the values that may be shown now; NaN is unknown."""
+    """Display holds the values to show now; NaN is unknown."""
 
     status: Status
     reason: str
@@ -37,7 +37,7 @@ class Display:
 
     @property
     def at_worst_s(self) -> float:
-        """Return the time that alarms go by [s]: the alarm's own point, the 5 % point of a forecast without one."""
+        """Return the time that alarms use [s]: the forecast's alarm point, or its 5 % point if it has none."""
         return self.remaining_alarm_s if math.isfinite(self.remaining_alarm_s) else self.remaining_lo_s
 
 
@@ -50,7 +50,7 @@ class EnduranceNow(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Return it in the words in which a pilot plans: in minutes."""
+        """Return it in words for the pilot, in minutes."""
         if not math.isfinite(self.median_s):
             return "waiting for take-off"
         middle, lo, hi = (f"{value_s / 60.0:.0f}" for value_s in self)
@@ -76,12 +76,12 @@ class Report:
     certificate: str = ""
     flying_since_s: float = NAN  # on the monotonic clock; NaN on the ground
     endurance: EnduranceNow = UNKNOWN  # before take-off
-    flown_J: float = 0.0  # that it gave since take-off
-    flown_s: float = 0.0  # in which it did
-    late_s: float = 0.0  # that the row was under way, as far as that is known and more than usual
+    flown_J: float = 0.0  # energy given since take-off
+    flown_s: float = 0.0  # time of that
+    late_s: float = 0.0  # delay of the row beyond the usual, as far as it is known
 
     def late_by(self, late_s: float) -> Report:
-        """Return the report of a row that was so long under way [s], with a warning; up to LATE_S it is as it was."""
+        """Return the report of a row that came `late_s` [s] late, with a warning; up to LATE_S it is unchanged."""
         if not late_s > LATE_S:
             return self
         warnings = (*self.estimate.warnings, _late_words(late_s))
@@ -96,7 +96,7 @@ class Report:
         return self.silent_s(now_s) + self.late_s
 
     def is_stale(self, now_s: float) -> bool:
-        """Return True if no row has come for so long, or so late, that nothing is known any more."""
+        """Return True if the last row is so old, or came so late, that nothing is known any more."""
         return self.silent_s(now_s) > STALE_AFTER_S or self.late_s > TOO_LATE_S
 
     def _why_stale(self, now_s: float) -> str:
@@ -105,7 +105,7 @@ class Report:
 
     @property
     def is_waiting(self) -> bool:
-        """Return True on the ground before a flight, where there is no number because there is no load yet."""
+        """Return True before a flight, while there is no number because there is no load yet."""
         return self.remaining.reason == NOT_FLYING and self.estimate.status is not Status.REFUSED
 
     def at(self, now_s: float) -> Display:
@@ -132,7 +132,7 @@ class Report:
         )
 
     def route_at(self, now_s: float) -> Route | None:
-        """Return what is known of route and way home at `now_s`; nothing of it when the telemetry is stale."""
+        """Return route and way home at `now_s`, all unknown if the telemetry is stale; None without a route."""
         route, age_s = self.remaining.route, self.age_s(now_s)
         if route is None or not self.is_stale(now_s):
             return route and route.later(age_s)
@@ -205,11 +205,11 @@ class Trend:
 
 @dataclass(slots=True)
 class Board:
-    """Other threads may read the board: the loop replaces it whole, except `trend`, to which it appends."""
+    """Board is what other threads read: the loop replaces it as a whole, and appends to `trend`."""
 
     reports: tuple[Report, ...] = ()
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
     problem: str = ""  # why the autopilot's link is not open
-    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
+    said: tuple[tuple[float, str], ...] = ()  # announcements: (monotonic time [s], text)

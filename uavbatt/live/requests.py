@@ -1,8 +1,8 @@
-"""Requests to the autopilot, when the operator allows them (`--request`): a rate, and the battery's parameters.
+"""Requests to the autopilot, if the operator allows them (`--request`): a message rate, and the battery's parameters.
 
-SET_MESSAGE_INTERVAL for BATTERY_STATUS while it comes slower than half the wanted rate, with growing pauses;
-PARAM_REQUEST_READ for what is not known yet, a few times each, and again after a gap (the pack may be another); at once
-for what is said to have changed in flight (see `HeardParameters`).
+SET_MESSAGE_INTERVAL is sent while BATTERY_STATUS comes slower than half the wanted rate, with growing pauses.
+PARAM_REQUEST_READ is sent a few times for each parameter that is not known, again after a gap (the pack may have been
+changed), and at once for a parameter that seems to have changed in flight (see `HeardParameters`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ OF_ARDUPILOT = ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS", "MONITOR", "SUM_M
 
 
 def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
-    """Return the names of the parameters that say what packs these are."""
+    """Return the names of the parameters that describe the packs of these batteries."""
     names = []
     for instance in sorted(instances) or [0]:
         if is_px4:
@@ -32,13 +32,13 @@ def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
 
 
 class Requests:
-    """Requests decides what to ask the autopilot for, and remembers what was asked and how often."""
+    """Requests decides what to ask the autopilot for, and counts what was asked."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._rate_Hz = rate_Hz
         self._pause_s, self._rate_next_s, self._name_next_s = FIRST_PAUSE_S, float("-inf"), float("-inf")
         self._asked: dict[str, int] = {}
-        self._again: dict[str, tuple[float, int, float]] = {}  # in doubt: the value, how often asked, when again [s]
+        self._again: dict[str, tuple[float, int, float]] = {}  # doubted name -> value, times asked, next time [s]
         self._rows, self._rows_since_s = 0, 0.0
 
     def row(self) -> None:
@@ -46,7 +46,7 @@ class Requests:
         self._rows += 1
 
     def begin_again(self) -> None:
-        """Ask for everything again: after a gap the pack may be another."""
+        """Ask for everything again: after a gap the pack may have been changed."""
         self._asked.clear()
         self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
 

@@ -1,17 +1,17 @@
-"""The saved state after a start: whose it is, and what became of it, in words."""
+"""The saved state after a start: which vehicle it is of, and whether it was resumed, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from uavbatt.live.saved import SavedBattery
-from uavbatt.live.state import Found, SavedState, SavedVehicle
+from uavbatt.live.state import FoundState, SavedState, SavedVehicle
 
 
 class Resumption:
-    """Resumption hands out what an earlier process saved of a vehicle to that vehicle alone, each battery once."""
+    """Resumption gives the state that an earlier process saved to the same vehicle only, each battery once."""
 
-    def __init__(self, found: Found[SavedBattery]) -> None:
+    def __init__(self, found: FoundState[SavedBattery]) -> None:
         self.age_s = found.age_s  # when this process began
         self._state: SavedState[SavedBattery] | None = found.state
         self._left = dict(found.state.batteries) if found.state is not None else {}
@@ -20,26 +20,26 @@ class Resumption:
 
     @property
     def note(self) -> str:
-        """Return where the resumption stands, in words; each battery's own estimator says what became of it."""
+        """Return a note on the saved state as a whole; `TrackedBattery.resumed` tells of each battery."""
         if self._state is not None and self._met is None:
             return f"a state {self.age_s:.0f} s old waits for system {self._state.vehicle.system}"
         why_not = self._why_not or self._mismatch(self._met)
         return f"not resumed: {why_not}" if why_not else ""
 
     def meet(self, vehicle: SavedVehicle) -> Mapping[str, float]:
-        """Return the saved parameters of a vehicle whose batteries are to be estimated, if the state is of it."""
+        """Take in the vehicle that is followed; return its saved parameters if the state is of this vehicle."""
         self._met = vehicle
         return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
 
     def is_contradicted(self, vehicle: SavedVehicle) -> bool:
-        """Return True if the vehicle, by what is known of it now, has been handed the state of another."""
+        """Return True if the vehicle, as it is known now, was given the state of another vehicle."""
         if self._state is None or self._met is None or self._mismatch(self._met):
             return False
         self._met = vehicle
         return bool(self._mismatch(vehicle))
 
     def of(self, instance: int) -> SavedBattery | None:
-        """Return the saved battery of the vehicle that was met; None if there is none or it was handed out before."""
+        """Return a saved battery of the followed vehicle; None if there is none, or it was given before."""
         return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
     def left(self, vehicle: SavedVehicle) -> Mapping[str, SavedBattery]:

@@ -1,4 +1,4 @@
-"""The time that is left, put into BATTERY_STATUS frames on their way to the ground station (see `proxy`)."""
+"""Writing the time left into BATTERY_STATUS frames on their way to the ground station (see `proxy`)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LastEstimate(NamedTuple):
 
 
 class Rewriter:
-    """The rewriter holds the last estimate of each battery, and puts its time into the frames that may carry it."""
+    """Rewriter holds the last estimate of each battery, and writes its time into the battery's frames."""
 
     def __init__(self, soc: bool) -> None:
         self.known: dict[tuple[int, int, int], LastEstimate] = {}
@@ -31,13 +31,13 @@ class Rewriter:
         self._soc = soc
 
     def take(self, body: bytes) -> None:
-        """Take an estimate in, packed as ESTIMATE_LAYOUT."""
+        """Take in an estimate, packed as ESTIMATE_LAYOUT."""
         if len(body) == struct.calcsize(ESTIMATE_LAYOUT):
             system, component, battery, *rest = struct.unpack(ESTIMATE_LAYOUT, body)
             self.known[system, component, battery] = LastEstimate(*rest)
 
     def frame(self, frame: bytes, now_s: float) -> bytes:
-        """Return the frame with the time left in it, or as it is where it may carry none."""
+        """Return the frame with the time left, or unchanged if it must not carry one."""
         if not self.known:
             return frame
         battery = battery_of(frame)

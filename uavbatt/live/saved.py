@@ -1,7 +1,8 @@
-"""One battery in the saved state, and what its numbers must be before anybody goes on from them.
+"""One battery in the saved state, and the checks of its numbers before it is resumed.
 
-A state file may be damaged, or made by hand: its types are checked where it is read, its numbers here. What no battery
-in flight can show is not resumed, and the reason is said: a wrong belief that looks certain is worse than none.
+A state file may be damaged or edited. Its types are checked where it is read, its numbers here. A state with values
+that no battery in flight can have is not resumed, and the reason is given: a wrong belief that looks certain is worse
+than none.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ Weight = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 FullestCell = Annotated[float, msgspec.Meta(ge=ORDINARY_FULL_V, le=HIGHEST_CELL_V)]
 MOST_MEMBERS = 64
 
-# Lowest and highest mean of each component, and lowest and highest standard deviation. No battery is known better than
-# the lowest: flights end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials at rest are 0.
+# Lowest and highest mean of each component, and lowest and highest standard deviation. The lowest is below what any
+# flight reaches: 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials at rest are 0.
 PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
     X.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
     X.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),
@@ -41,9 +42,8 @@ PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
     X.BIAS: ((-1.0, 1.0), (1e-4, 1.0)),
     X.REACTION: ((-0.5, 0.5), (1e-4, 0.5)),
 }
-ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: what rounding leaves
-
-# What a number of this unit, which its name tells, can be in the memory of a flight; longest endings first.
+ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: errors of rounding
+# Ending of a field's name (its unit) -> largest possible value in the memory of a flight; longest endings first.
 LARGEST = {
     "_Ah": 1e4, "_A": 2000.0, "_W": 400_000.0, "_J": 1e11, "_V": 200.0, "_C": 200.0, "_s": 1e6,
 }  # fmt: skip
@@ -52,7 +52,8 @@ LARGEST_OTHER = 1e6
 
 @dataclass(frozen=True, slots=True)
 class SavedBattery:
-    """SavedBattery holds the belief `since_row_s` [s] before the last row of a battery, and what goes with it."""
+    """SavedBattery holds the belief of a battery, `since_row_s` [s] before its last row, and the memory of its
+    flight."""
 
     since_row_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
     means: Annotated[list[Column], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]
@@ -69,14 +70,14 @@ class SavedBattery:
 
 
 def implausible(was: SavedBattery) -> str:
-    """Return what a saved battery holds that no battery can show, in words; empty when it may be resumed."""
+    """Return in words what is impossible in a saved battery; empty if it may be resumed."""
     return implausible_belief(was.means, was.covariances, was.weights) or _implausible_memory(was)
 
 
 def implausible_belief(means: list[Column], covariances: list[Square], weights: list[Weight]) -> str:
-    """Return what makes a sum of Gaussians impossible as a belief about a battery; empty when it is possible.
+    """Return in words what is impossible in a sum of Gaussians as a belief about a battery; empty if it is possible.
 
-    A member that has long been refuted may hold strange things; the sum may not.
+    Only the sum must be plausible: a single member with a tiny weight may hold strange values.
     """
     if not len(means) == len(covariances) == len(weights):
         return "members of a belief without a mean, a covariance or a weight"
@@ -103,7 +104,7 @@ def _implausible_moments(mean: Array, covariance: Array) -> str:
 
 
 def _no_covariance(covariance: Array) -> str:
-    """Return the reason why a matrix [9, 9] is no covariance; empty when it is one."""
+    """Return in words why a matrix [9, 9] is no covariance; empty if it is one."""
     variance = np.diag(covariance)
     if (variance < 0.0).any():
         return "a negative variance"
@@ -138,7 +139,7 @@ def _implausible_memory(was: SavedBattery) -> str:
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Every number in a record and the records in it, with the name of its field."""
+    """Yield every number in a record and in the records inside it, with the name of its field."""
     if isinstance(value, bool) or value is None:
         return
     if isinstance(value, int | float):

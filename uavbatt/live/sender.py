@@ -1,7 +1,7 @@
-"""Sender: everything that the companion process sends, and to whom.
+"""Everything that the companion process sends, and to whom.
 
-Towards the autopilot goes what `mavlink.originated` lists; behind the proxy a heartbeat only with something to ask.
-Everything else goes to the ground-station endpoints only.
+Only messages that `mavlink.originated` lists go to the autopilot; behind the proxy the heartbeat goes there only if
+requests are allowed. Everything else goes to the ground-station endpoints only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_SAID = 8
 
 
 class Sender:
-    """Sender sends heartbeats, feeds and requests, each when it is due."""
+    """Sender sends heartbeats, feeds and requests when they are due."""
 
     def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
         self._config, self._link, self._stations = config, link, stations
@@ -40,7 +40,7 @@ class Sender:
         self._outs: dict[tuple[int, int], Outgoing] = {}
         self._announcers: dict[int, Announcer] = {}
         self._beat_s = self._look_s = float("-inf")
-        self._system: int | None = None  # that is followed
+        self._system: int | None = None  # the followed vehicle's
         self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
@@ -78,9 +78,10 @@ class Sender:
             self._to_gcs(frame, now_s)
 
     def begin_vehicle(self, now_s: float, reader: LiveReader) -> None:
-        """Forget what was asked and announced of the last vehicle, as another one is followed from now on.
+        """Drop the requests and announcements of the last vehicle, as another one is followed from now on.
 
-        The change is said in the name of both, for a ground station may show only one; `now_s` is monotonic [s].
+        The change is announced with the system ids of both, as a ground station may show only one of them; `now_s` is
+        monotonic [s].
         """
         before, self._system = self._system, reader.system
         if words := reader.following.words:
@@ -117,7 +118,7 @@ class Sender:
             station.write(frame, now_s)
 
     def _out(self, system: int, component: int) -> Outgoing:
-        """Our frames carry the vehicle's system; 1 until it is known."""
+        """Return the packer of our frames of a system and component, made at the first use."""
         if (system, component) not in self._outs:
             self._outs[system, component] = Outgoing(system, component, self._key)
         return self._outs[system, component]

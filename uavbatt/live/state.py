@@ -1,11 +1,12 @@
-"""The saved state: written whole or not at all every few seconds, read once at the start.
+"""The file of the saved state: written atomically every few seconds, read once at the start.
 
     {"version", "boot_id", "monotonic_s", "wall_s", "is_clock_set", "battery_sha256", "link",
      "vehicle": {"system", "component", "hardware"}, "parameters": {...}, "batteries": {id: {...}}}
 
-Its age is told by the boot's clock within one boot, across boots by the wall clock, if that was set at both ends: a
-computer without a battery-backed clock goes on after hours without power where it stopped. What is damaged, too old, of
-another battery file or of another process (which listens elsewhere) is not resumed, and the reason is said.
+Within one boot its age comes from the boot's clock. Across boots it comes from the wall clock, if that was set both
+times: a computer without a battery-backed clock goes on with the old time after hours without power. A state that is
+damaged, too old, of another battery file or of another process (with another endpoint) is not resumed, and the reason
+is given.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ MOST_BYTES = 1_000_000
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 HARDWARE_CLOCKS = Path("/sys/class/rtc")
 CLOCKS_AGREE_S = 5.0
-RELEASED_S = 1.7e9  # 2023: a clock that shows less was never set
+RELEASED_S = 1.7e9  # 2023: a clock that shows an earlier time was never set
 UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 LARGEST_PARAMETER = 3.5e38  # of 32 bits
 
@@ -37,7 +38,8 @@ Battery = TypeVar("Battery")
 
 
 class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
-    """SavedVehicle tells whose batteries these are: the autopilot's address, and its serial number if known."""
+    """SavedVehicle identifies the vehicle of the saved batteries: the autopilot's address, its serial number if
+    known."""
 
     system: Byte
     component: Byte
@@ -45,7 +47,7 @@ class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
-    """SavedState holds the file's content but when it was written; `battery_sha256` and `link` are of the process."""
+    """SavedState holds the file's content without its time; `battery_sha256` and `link` are those of the process."""
 
     battery_sha256: Name
     link: Annotated[str, msgspec.Meta(max_length=1000)]
@@ -56,7 +58,7 @@ class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
 
 
 class Clock(msgspec.Struct, frozen=True, kw_only=True):
-    """Clock is one instant by the clocks of this computer; `boot_id` is empty where it has none."""
+    """Clock holds one instant by all clocks of this computer; `boot_id` is empty if the computer has none."""
 
     boot_id: str
     monotonic_s: Time
@@ -68,8 +70,8 @@ class _Written(msgspec.Struct, frozen=True, kw_only=True):
     version: int
 
 
-class Found(NamedTuple, Generic[Battery]):
-    """Found holds the state and its age [s], or None and the reason; no reason if nothing was ever saved."""
+class FoundState(NamedTuple, Generic[Battery]):
+    """FoundState holds the state and its age [s], or None and the reason; the reason is empty if there is no file."""
 
     state: SavedState[Battery] | None
     age_s: float
@@ -77,12 +79,12 @@ class Found(NamedTuple, Generic[Battery]):
 
 
 def clock(monotonic_s: float, wall_s: float, is_clock_set: bool) -> Clock:
-    """Return an instant by all clocks, with the identity of this boot."""
+    """Return the instant by all clocks, with the identity of this boot."""
     return Clock(boot_id=boot_id(), monotonic_s=monotonic_s, wall_s=wall_s, is_clock_set=is_clock_set)
 
 
 def boot_id() -> str:
-    """Return an identity of this boot of the computer; empty when it has none."""
+    """Return the identity of this boot of the computer; empty if it has none."""
     try:
         return BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
@@ -90,9 +92,9 @@ def boot_id() -> str:
 
 
 def is_clock_set(wall_s: float) -> bool:
-    """Return True if the wall clock can be believed: the kernel has it synchronised, or a hardware clock agrees."""
+    """Return True if the wall clock is set: the kernel says that it is synchronised, or a hardware clock agrees."""
     if not sys.platform.startswith("linux"):
-        return wall_s > RELEASED_S  # small computers without a battery for their clock run Linux
+        return wall_s > RELEASED_S  # computers without a battery-backed clock run Linux
     return wall_s > RELEASED_S and (_is_synchronised() or any(_agrees(clock, wall_s) for clock in _hardware_clocks()))
 
 
@@ -120,7 +122,7 @@ def _agrees(hardware_clock: Path, wall_s: float) -> bool:
 
 
 def write_state(path: Path, content: SavedState[Any], now: Clock) -> None:
-    """Save the state atomically. Raises OSError or UavbattError when the disk does not take it."""
+    """Save the state atomically. Raises OSError or UavbattError if it cannot be written."""
     head = {"version": VERSION, **msgspec.to_builtins(now)}
     with atomic_write(path) as file:
         json.dump({**head, **msgspec.to_builtins(content)}, file, allow_nan=True)
@@ -128,11 +130,11 @@ def write_state(path: Path, content: SavedState[Any], now: Clock) -> None:
 
 def read_state(
     path: Path, kind: type[Battery], now: Clock, *, max_age_s: float, battery_sha256: str, link: str
-) -> Found[Battery]:
-    """Return the state of `path` with batteries of this kind, if this process may go on from it at `now`."""
+) -> FoundState[Battery]:
+    """Return the state in `path` if this process may resume it at `now`; `kind` is the type of a battery in it."""
 
-    def none(why: str) -> Found[Battery]:
-        return Found(None, 0.0, why)
+    def none(why: str) -> FoundState[Battery]:
+        return FoundState(None, 0.0, why)
 
     try:
         with path.open("rb") as file:
@@ -150,7 +152,7 @@ def read_state(
         was, found = msgspec.convert(content, Clock), msgspec.convert(content, SavedState[kind])  # type: ignore[valid-type]
     except RecursionError:
         return none("saved state is damaged: too deeply nested")
-    except Exception as error:  # whatever a file can hold, the process goes on without it
+    except Exception as error:  # no content of the file may end the process
         return none(f"saved state is damaged: {' '.join(str(error).split())[:200]}")
     if found.battery_sha256 != battery_sha256:
         return none("saved state is of another battery file")
@@ -159,11 +161,11 @@ def read_state(
     age_s, why_not = _age(was, now)
     if not why_not and not 0.0 <= age_s <= max_age_s:
         why_not = f"saved state is {age_s:.0f} s old"
-    return none(why_not) if why_not else Found(found, age_s, "")
+    return none(why_not) if why_not else FoundState(found, age_s, "")
 
 
 def _age(was: Clock, now: Clock) -> tuple[float, str]:
-    """Age [s], or why nobody can tell."""
+    """Return the age [s] and "", or 0 and the reason why the age is unknown."""
     if was.boot_id and was.boot_id == now.boot_id:
         return now.monotonic_s - was.monotonic_s, ""
     if was.is_clock_set and now.is_clock_set:

@@ -1,4 +1,4 @@
-"""sd_notify: one datagram to the service manager, nothing when there is none."""
+"""sd_notify: messages to the service manager, if there is one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 
 
 def notify(message: str) -> None:
-    """Tell systemd a message, e.g. READY=1, WATCHDOG=1 or STATUS=text; nothing without $NOTIFY_SOCKET."""
+    """Send systemd a message, e.g. READY=1, WATCHDOG=1 or STATUS=text; do nothing without $NOTIFY_SOCKET."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return

@@ -1,9 +1,8 @@
-"""One battery in flight: its estimator, and the state of it that is saved for the next process.
+"""One battery in flight: its estimator, and its state that is saved for the next process.
 
-Resuming: the saved belief, and what the forecaster and the cleaner remember, are put at their own time, before the
-first row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter
-where it has one; else the load is taken to have gone on. A state that cannot be resumed is not used, and `resumed`
-says why.
+To resume, the saved belief and the memory of forecaster and cleaner are set to their own time, before the first row of
+the new process. The charge drawn since then is the difference of the autopilot's counter if it has one; otherwise the
+load is assumed to have continued. A state that cannot be resumed is not used, and `resumed` says why.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ RESUMED = "resumed from a state"
 
 
 class TrackedBattery:
-    """TrackedBattery runs the estimator of one battery; it raises no error for anything that a vehicle may send."""
+    """TrackedBattery runs the estimator of one battery; nothing that a vehicle sends makes it raise an error."""
 
     def __init__(
         self,
@@ -45,30 +44,31 @@ class TrackedBattery:
         max_age_s: float = math.inf,
     ) -> None:
         self._battery, self._options, self._settings = battery, options, settings
-        self._pack = ""  # by its name, once that is known
+        self._pack = ""  # name of the pack, once known
         self._remembered: PackHealth | None = None
         self._has_flown = False
         self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
         self._endurance, self._endurance_s = UNKNOWN, math.nan
-        self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
+        self.resumed = ""  # whether the saved state was resumed, in words; empty if there is none
 
     @property
     def flown(self) -> Flown:
-        """Return the past of the flight as its forecasts need it."""
+        """Return energy and time of the flight so far, as its forecasts use them."""
         past = self.estimator.past
         return past.forecaster.flown if past is not None else Flown()
 
     def is_open_to_memory(self, armed: bool | None) -> bool:
-        """Return True on the ground, and while nobody has said whether it flies and no saved state is believed."""
+        """Return True if the pack's health from the ledger may be used: on the ground, or before a state is resumed."""
         return armed is False or (armed is None and self._saved is None and not self.resumed.startswith(RESUMED))
 
     def remember(self, name: str, health: PackHealth | None) -> None:
-        """Take in what is remembered of a pack, by its name.
+        """Take in the health of a pack from the ledger, with the pack's name.
 
-        The estimate begins anew with it for another pack, and for one that has not flown. One that has flown knows more
-        of its charge: the memory waits until the voltage shows another pack, or the same one charged.
+        The estimate begins anew with it for another pack, and for a pack that has not flown. A pack that has flown
+        keeps its estimate, which knows its charge better: the health is used once the voltage shows a change of the
+        pack.
         """
         is_another = self._pack not in ("", name)
         is_news = health is not self._remembered and (health is not None or is_another)
@@ -88,9 +88,9 @@ class TrackedBattery:
     def step(
         self, sample: Sample, facts: PackFacts, gap_s: float = NAN, navigation: Navigation = NOWHERE
     ) -> tuple[Estimate, Remaining]:
-        """Return estimate and remaining time after one row; refused, with the reason, for a row that makes an error.
+        """Return estimate and remaining time after one row; refused, with the reason, if the row causes an error.
 
-        gap_s : age of the saved state at this row [s]; navigation : what is known of the route.
+        gap_s : age of the saved state at this row [s]; navigation : position, mission and mode of the vehicle
         """
         was, self._saved = self._saved, None
         if was is not None:
@@ -100,7 +100,7 @@ class TrackedBattery:
         try:
             self.estimator.update_facts(facts)
             found = self.estimator.step(sample, navigation)
-        except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
+        except Exception as error:  # in flight no row and no file may end the process
             self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
@@ -110,11 +110,11 @@ class TrackedBattery:
         return found
 
     def endurance(self, time_s: float) -> EnduranceNow:
-        """Return the time in the air if it took off now, unknown where that has no answer; renewed every 10 s."""
+        """Return the flight time if it took off now, unknown if it cannot be worked out; updated every 10 s."""
         if not 0.0 <= time_s - self._endurance_s < ENDURANCE_PERIOD_S:
             try:
                 found = self.estimator.before_take_off(time_s)
-            except Exception:  # as in `step`: a number beside the row must not end the process
+            except Exception:  # as in `step`: nothing may end the process
                 found = None
             self._endurance_s = time_s
             self._endurance = EnduranceNow(found.median_s, found.lo_s, found.hi_s) if found is not None else UNKNOWN
@@ -142,7 +142,7 @@ class TrackedBattery:
         )
 
     def _resume(self, was: SavedBattery, sample: Sample, gap_s: float) -> str:
-        """Start from the saved belief, or leave it alone; why, if so."""
+        """Start from the saved belief; return the reason if that is not possible, else an empty text."""
         age_s = gap_s + was.since_row_s
         if not (gap_s > 0.0 and age_s <= self._max_age_s):
             return f"the saved state is {age_s:.0f} s old"
@@ -157,16 +157,16 @@ class TrackedBattery:
             belief = Belief(at_s, np.array(was.means), np.array(was.covariances), np.array(was.weights), was.ambient_C)
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, age_s)
             self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s), was.consumed_Ah)
-        except Exception as error:  # nothing that a file can hold may end the process
+        except Exception as error:  # no content of a file may end the process
             self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"
         return ""
 
 
 def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: float) -> float:
-    """The current [A] at the start of the gap for which the trapezium over the gap holds the charge drawn."""
+    """Return the current [A] at the start of a gap that makes its trapezium equal to the charge drawn in the gap."""
     if math.isfinite(now_A) and math.isfinite(drawn_Ah) and drawn_Ah > -COUNTER_SLACK_AH:
         mean_A = max(drawn_Ah, 0.0) * 3600.0 / gap_s
-        if mean_A <= MAX_CURRENT_A:  # else the counter is another's
+        if mean_A <= MAX_CURRENT_A:  # else the counter is of another pack
             return 2.0 * mean_A - now_A
     return saved_A if math.isfinite(saved_A) else max(now_A, 0.0) if math.isfinite(now_A) else 0.0

@@ -2,8 +2,8 @@
 
     /  the page     /events  SSE     /now.json     /metrics     /healthz (503 when stale)     /register_service
 
-Reads the board that the loop publishes, never the estimator. Runs in a thread of its own; read only. With a token
-every path but /healthz wants `?token=` or `Authorization: Bearer`.
+It reads the board that the loop publishes, never the estimator, and runs in a thread of its own. It is read only. If a
+token is set, every path but /healthz needs `?token=` or `Authorization: Bearer`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from uavbatt.live.report import NOTHING_YET, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
-SAID_S = 120.0  # what was said aloud stands on the page as long
+SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
-# What a companion computer's menu lists of us (/register_service).
+# What the menu of a companion computer (BlueOS) shows of this service (/register_service).
 ABOUT = {
     "name": "uavbatt",
     "description": "Remaining flight time",
@@ -68,7 +68,7 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
 
 
 def metrics(board: Board, now_s: float) -> bytes:
-    """Return the state in Prometheus' text format; what is unknown is NaN."""
+    """Return the state in Prometheus' text format; unknown values are NaN."""
     from prometheus_client import CollectorRegistry, Gauge, generate_latest
     from prometheus_client.core import CounterMetricFamily
 
@@ -106,13 +106,13 @@ def metrics(board: Board, now_s: float) -> bytes:
 
 
 def filled(page: str, board: Board, now_s: float) -> str:
-    """Return the page with what is known now in it, so that it shows something before the first event."""
+    """Return the page with the current content, so that it shows something before the first event."""
     first = json.dumps({"now": content(board, now_s), "trend": board.trend.lines(now_s)}, allow_nan=False)
     return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)
 
 
 def security_policy(page: str) -> str:
-    """Return the page's content security policy: its own script and style, its own events, and nothing else."""
+    """Return the page's content security policy: only its own script, style and events are allowed."""
     scripts = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in _SCRIPT.findall(page))
     allowed = " ".join(f"'sha256-{digest}'" for digest in scripts)
     return (
@@ -122,10 +122,10 @@ def security_policy(page: str) -> str:
 
 
 def is_own_name(asked: str, listens: str) -> bool:
-    """Return True if a request asks for this machine by a name that no stranger's page can have made it.
+    """Return True if a request names this machine itself, so that it cannot come from a foreign page.
 
-    asked : the request's Host header; listens : the host of `--http`. A name that a foreign site lets point to this
-    address (DNS rebinding) would let that site read the feed.
+    asked : the request's Host header; listens : the host of `--http`. A foreign site can let a name of its own point to
+    this address (DNS rebinding), and could read the feed if that name were accepted.
     """
     name = asked[1:].partition("]")[0] if asked.startswith("[") else asked
     name = (name.partition(":")[0] if name.count(":") == 1 else name).lower()
@@ -143,7 +143,7 @@ def _number(value: Any) -> float:
 
 
 def _is_allowed(request: Any, token: str) -> bool:
-    """Return True if a request offers the token, in its address or as a bearer; where there is none, any may ask."""
+    """Return True if a request has the token, in its address or as a bearer, or if no token is set."""
     header = request.headers.get("authorization", "").removeprefix("Bearer ")
     offered = request.query_params.get("token", "") or header
     return not token or hmac.compare_digest(offered.encode(), token.encode())
@@ -178,7 +178,7 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
             await asyncio.sleep(EVENT_PERIOD_S)
 
     async def health(request: Request) -> Response:
-        first = next(iter(board().reports), None)  # it speaks for the vehicle
+        first = next(iter(board().reports), None)  # the battery that speaks for the vehicle
         is_fresh = first is not None and not first.is_stale(clock_s())
         return PlainTextResponse("ok\n" if is_fresh else "stale\n", 200 if is_fresh else 503)
 

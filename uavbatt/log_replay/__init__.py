@@ -1,1 +1,1 @@
-"""A log through the estimator, and what came of it."""
+"""Replay of a log through the estimator, and the result in figures."""

@@ -1,8 +1,8 @@
-"""Which rows of a replay are in the air: those under load, and those whose current was lost on the way.
+"""Which rows of a replay are in the air: rows under load, and rows after the current sensor failed in flight.
 
-A sensor that dies in the air ends no flight. A row without a current that can be believed goes on with the flight as
-long as the vehicle says that it is armed; where it does not say, until the voltage is back above what it was under the
-last load: a pack that lands recovers, one that flies on only falls.
+A sensor that fails in the air does not end the flight. Rows without a usable current belong to the flight while the
+vehicle says that it is armed. If it does not say so, they belong to it until the voltage rises above its value under
+the last load: the voltage of a landed pack recovers, and that of a flying pack falls.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ LOADED_TAU_S = 10.0
 
 
 class InAir(NamedTuple):
-    """InAir holds the rows of a replay that are in the air, and those of them that have lost their current.
+    """InAir holds the rows of a replay that are in the air, and those of them without a usable current.
 
-    current_A : of each row [A], infinite where it was lost in the air: any load is possible there.
-    loaded_A : a row with more is under load [A].
+    current_A : of each row [A], infinite if it was lost in the air, where any load is possible
+    loaded_A : current above which a row is under load [A]
     """
 
     flying: NDArray[np.bool_]
@@ -37,14 +37,16 @@ class InAir(NamedTuple):
 
     @property
     def lost_at_end(self) -> NDArray[np.intp]:
-        """Return the rows without their current with which the flight ends; empty if it ends with a known load."""
+        """Return the rows without current at the end of the flight; empty if it ends with a known load."""
         sound = np.flatnonzero(self.flying & ~self.lost)
         lost = np.flatnonzero(self.lost)
         return lost[lost > sound[-1]] if sound.size else lost
 
 
 def in_air(run: Sequence[ReplayedRow]) -> InAir:
-    """Return which rows of a replay are in the air; of a log without any current none is."""
+    """Return which rows of a replay are in the air; none of them if the log has no current.
+    =>
+    LANDED_AFTER_S"""
     amps = np.array([s.estimate.current_A for s in run])
     least_A = loaded_A(amps)
     loaded = np.nan_to_num(amps) > least_A

@@ -37,7 +37,7 @@ class ReplayedRow:
 
 
 def engine_for(*, is_long: bool) -> Engine:
-    """Return the engine for a work: compiled where it is long enough to repay that and the extra `fast` is there."""
+    """Return the engine for a job: compiled if the job is long and the extra `fast` is installed, else numpy."""
     if not is_long:
         return PLAIN
     try:
@@ -54,7 +54,7 @@ def estimator_for(
     settings: ForecastSettings,
     remembered: PackHealth | None = None,
 ) -> Estimator:
-    """Make the estimator of a flight, once what is stated of its pack is held against its first rows.
+    """Make the estimator of a flight, after a check of the stated pack against the first rows.
 
     Raises UsageError for a statement that the rows contradict.
     """
@@ -76,7 +76,7 @@ def recorded_period_s(flight: Flight) -> float:
 
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
-    """Return the flight with the mission of a file instead of what the log says of one."""
+    """Return the flight with the mission of a file instead of the log's own."""
     return replace(
         flight,
         navigation=tuple(
@@ -89,7 +89,7 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
     """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row.
 
-    Rows at which nobody has stated the capacity yet are refused, as in flight. Raises UsageError if nobody ever does.
+    Rows before the capacity is known are refused, as in flight. Raises UsageError if it never becomes known.
     """
     why_not, is_stated = "", False
     for facts, stretch in _stretches(flight):
@@ -121,7 +121,7 @@ class RouteForecasts(NamedTuple):
 
     @property
     def turn_back_now_s(self) -> float:
-        """Return when "turn back now" was said first [s]; NaN where it was not."""
+        """Return the time of the first warning "turn back now" [s]; NaN if there was none."""
         return next((time_s for time_s, route in self.rows if route.must_turn_back_now), NAN)
 
     @property

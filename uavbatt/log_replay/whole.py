@@ -1,4 +1,4 @@
-"""The function `uavbatt.replay`: a whole flight log in one call, with the files that the command takes as well."""
+"""The function `uavbatt.replay`: replay of a whole flight log in one call, with the same files as the command."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from uavbatt.limits import Names
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.remembering import name_of, recalled, taught
+from uavbatt.packs.remembering import flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-HEADROOM, SETTLED = 1.6, 0.8  # the axis holds so much more than what so many of the forecasts lie below
+HEADROOM, SETTLED = 1.6, 0.8  # the chart's axis ends at 1.6 times the 80 % point of the forecasts
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Replay:
         return iter(self.steps)
 
     def __repr__(self) -> str:
-        """Return one line: the steps are thousands."""
+        """Return one line, because there are thousands of steps."""
         return f"<Replay of {self.flight.source} on {self.pack.battery}: {len(self)} steps, {self.pack.words}>"
 
     def _repr_html_(self) -> str:
@@ -133,31 +133,31 @@ def replay(
     forecast_period_s: float | None = None,
     allow_uncertified: bool = False,
 ) -> Replay:
-    """Replay a flight log: state of charge and remaining time at every row, as `uavbatt replay` works them out.
+    """Replay a flight log: state of charge and remaining time at every row, the same as `uavbatt replay`.
 
     Args:
         log: path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
         battery: name of a packaged battery, a battery file by path, or its content.
-        cells: cells in series. What is not stated of the pack comes from the vehicle, the voltage, the battery file.
+        cells: cells in series. Values that are not given come from the vehicle, the voltage, or the battery file.
         capacity_Ah: capacity of the pack [Ah].
         cutoff_V: voltage of the pack that ends the flight [V].
         reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
         instance: battery of the log; by default the first that reports a current.
         vehicle: vehicle file by path, or its content: how this aircraft flew before.
         load: `learned`, `recent`, `log`, or the power to come [W].
-        mission: what the autopilot was to fly, a `.waypoints` or `.plan` file; it wins over what the log says.
-        packs: pack ledger, made when missing: the flight begins with what is remembered of its pack, and is remembered.
+        mission: the planned mission, a `.waypoints` or `.plan` file; it replaces the one in the log.
+        packs: pack ledger, made if missing: the flight begins with its pack's health, and is added to the ledger.
         pack: name of the pack in the ledger; by default its serial number in the log.
         forecast_period_s: time between two forecasts [s]; between them the last one counts down. By default 5 s, and
             for a recording of `uavbatt live` what it was made with.
         allow_uncertified: read a battery file whose hash or verdict is broken.
 
     Returns:
-        Every row and what came of it.
+        The estimates of every row, and the result in figures.
 
     Raises:
         BadInput: a file cannot be used; the message names it, the place and what was expected.
-        UsageError: an argument cannot be; the message names it and its bounds.
+        UsageError: an argument is impossible; the message names it and its bounds.
     """
     if pack and packs is None:
         raise UsageError(f"pack={pack!r}: expected packs= as well, the ledger that remembers it")
@@ -181,26 +181,23 @@ def replay(
 
 
 def _minutes(seconds: float) -> str:
-    """Write seconds as minutes and seconds, `12:05`."""
-    if not math.isfinite(seconds):
-        return "unbounded" if math.isinf(seconds) else "not known"
-    return f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
+    return output.clock(seconds, "unbounded" if math.isinf(seconds) else "not known")
 
 
 def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:
-    """Return what the ledger knows of the flight's pack by the flights before it."""
+    """Return the health of the flight's pack by its earlier flights in the ledger."""
     if packs is None:
         return None
     with Ledger(packs) as ledger:
-        return recalled(ledger, name_of(flight, pack), flight, content)
+        return health_before(ledger, name_of(flight, pack), flight, content)
 
 
 def _remember(
     packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions, health: PackHealth | None
 ) -> None:
-    """Save in the ledger what the flight taught of its pack, where it has a name; `health` was known before it."""
+    """Save the record of the flight in the ledger, if its pack has a name; `health` is that before the flight."""
     name = name_of(flight, pack)
-    found = taught(content, options, flight, health).record if name else None
+    found = flight_for_ledger(content, options, flight, health).record if name else None
     if found is not None:
         with Ledger(packs) as ledger:
             ledger.save(name, found)
@@ -232,7 +229,7 @@ def _period_s(flight: Flight, stated_s: object) -> float:
 
 
 def _flight(log: str | Path | Flight, instance: int | None) -> Flight:
-    """Return the flight that is asked for, read if it is not yet."""
+    """Return the flight, read from its log if it is given by path."""
     if not isinstance(log, Flight):
         check_path("log", log, "the path of a flight log, or a Flight")
         return read_log(log, instance)

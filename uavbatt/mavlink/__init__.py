@@ -1,1 +1,1 @@
-"""The wire: message fields and their sentinels, frames and log records as bytes. Knows no batteries' physics."""
+"""The wire: message fields and their sentinels, frames as bytes, links. It knows nothing of the battery model."""

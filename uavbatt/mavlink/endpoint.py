@@ -1,4 +1,4 @@
-"""Endpoint strings, spelled as pymavlink spells them, and what the loops see of an open endpoint.
+"""Endpoint strings, spelled as in pymavlink, and the interface of an open endpoint.
 
 udpin:HOST:PORT (or udp:)   listen; answers go to everybody heard in the last minute
 udpout:HOST:PORT            send there, hear answers
@@ -28,7 +28,7 @@ class Endpoint(NamedTuple):
 
 
 class Link(Protocol):
-    """The loops read and write an open endpoint through a link."""
+    """Link is the interface of an open endpoint."""
 
     is_stream: bool
     problem: str  # why it is not open, in words; empty while it is

@@ -1,8 +1,8 @@
 """Fields of MAVLink messages as values: units made SI, sentinels made NaN.
 
-The functions take a decoded message (any object with the attributes of the MAVLink XML), so that a
-log file and a live link share them. Sentinels (common.xml): -1 for currents, charges and percents,
-32767 for temperature, 65535 for cell voltages; a `time_remaining` of 0 is never read at all.
+The functions take a decoded message (any object with the attributes of the MAVLink XML), so that log files and the live
+link share them. Sentinels (common.xml): -1 for currents, charges and percents, 32767 for temperature, 65535 for cell
+voltages. `time_remaining` is never read.
 """
 
 from __future__ import annotations
@@ -68,13 +68,13 @@ def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
 
 
 def known_serial(text: str) -> str:
-    """Return a pack's serial, empty where it is one of the values that say that there is none."""
+    """Return a pack's serial; empty if it is one of the values that mean "none"."""
     shown = "".join(letter for letter in text.strip() if letter.isprintable())
     return "" if shown in _NO_SERIALS else shown
 
 
 def hardware(uid: int) -> str:
-    """Return the flight controller's serial number from the `uid` of AUTOPILOT_VERSION; empty when it tells none."""
+    """Return the flight controller's serial number from the `uid` of AUTOPILOT_VERSION; empty if it is 0."""
     return f"{uid:016x}" if uid else ""
 
 

@@ -4,8 +4,8 @@
     v2: FD len incompat compat seq sys comp id[3] payload crc16 (signature[13]) 12 + len bytes
 
 The checksum is CRC-16/MCRF4XX over everything from `len` to the payload's end plus one byte of the message's
-definition (CRC_EXTRA, 154 for BATTERY_STATUS). A v2 sender trims trailing zeros of the payload, so that a reader
-extends it with zeros first. No dependencies: the proxy process lives on this module alone.
+definition (CRC_EXTRA, 154 for BATTERY_STATUS). A v2 sender cuts trailing zeros of the payload, and the reader adds them
+again. No dependencies, because the small proxy process uses it.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Splitter:
         return made
 
     def flush(self) -> bytes:
-        """Hand out the bytes that wait; the rest of that frame will pass as it comes."""
+        """Return the bytes that wait; the rest of their frame is passed on as it comes."""
         held, self._rest = self._rest, b""
         length = frame_length(held, 0) if held else 0
         self._owed = max(length - len(held), 0)
@@ -181,10 +181,10 @@ class Splitter:
 
 
 class Frames:
-    """Frames takes a byte stream or datagrams in and gives whole frames out, found again after damage.
+    """Frames finds complete frames in a byte stream or in datagrams, and finds the next one again after damage.
 
-    A damaged length would swallow frames behind it, so that whoever checks a frame and finds it broken calls
-    `reject`: the search goes on one byte after its start.
+    A damaged length would hide the frames behind it. So the caller checks each frame and calls `reject` if it is
+    broken: then the search goes on one byte after the start of that frame.
     """
 
     def __init__(self) -> None:
@@ -208,5 +208,5 @@ class Frames:
         self._data = self._data[position:]
 
     def reject(self) -> None:
-        """Go on with the search one byte after the start of the frame that was handed out last: it was none."""
+        """Reject the last frame: go on with the search one byte after its start."""
         self._last = (self._last[0], self._last[0])

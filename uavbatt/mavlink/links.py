@@ -1,9 +1,8 @@
 """Endpoints (`endpoint.parse`) as raw sockets and serial lines. No dependencies but the standard library.
 
-A link never blocks and never raises for a peer that is not there: what cannot be opened or has broken off is tried
-again with a growing pause (0.5 s to 10 s), and says why in `problem`. UDP alone looks its host's name up when it is
-made, and refuses a name that nobody knows.
-Bytes only: what they mean is `framing`'s matter.
+A link never blocks, and never raises an error because its peer is absent: it tries again with a growing pause (0.5 s to
+10 s), and `problem` says why it is not open. Only UDP looks up the name of its host when it is made, and refuses an
+unknown name. Links carry bytes; `framing` reads them.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ READS_A_TURN = 64
 def open_link(text: str, silent_after_s: float = math.inf) -> Link:
     """Open the link of an endpoint string. Raises UsageError for a bad string or a local address that is taken.
 
-    silent_after_s: a client of `tcpin` that has not spoken by then is dropped; a ground station may only listen.
+    silent_after_s : a client of `tcpin` that has sent nothing by then is dropped [s]; a ground station may only listen
     """
     at = check_endpoint(text)
     if at.kind in ("udpin", "udpout"):
@@ -40,7 +39,7 @@ def open_link(text: str, silent_after_s: float = math.inf) -> Link:
 
 
 def check_endpoint(text: str) -> Endpoint:
-    """Return an endpoint string taken apart. Raises UsageError for one that no try will ever open."""
+    """Return the parsed endpoint string. Raises UsageError for one that can never be opened."""
     at = parse(text)
     if at.kind == "serial":
         _speed(at)
@@ -48,10 +47,7 @@ def check_endpoint(text: str) -> Endpoint:
 
 
 def open_autopilot(text: str) -> Link:
-    """Open the link on which an autopilot is expected: who connects there speaks.
-
-    Raises as `open_link`.
-    """
+    """Open the link of an autopilot, which drops clients that send nothing. Raises as `open_link`."""
     return open_link(text, SILENT_AUTOPILOT_S)
 
 
@@ -120,7 +116,7 @@ class UdpLink:
     def _remember(self, sender: tuple[str, int], now_s: float) -> None:
         if sender not in self._peers and len(self._peers) >= MOST_PEERS:
             forgotten = [p for p, peer in self._peers.items() if now_s - peer.heard_s >= PEER_FORGOTTEN_S]
-            # whoever sent least gives way: an autopilot that streams is not pushed out by many that send once
+            # the peer that sent least is dropped: many peers that send once must not push out an autopilot
             for gone in forgotten or [min(self._peers, key=lambda p: self._peers[p])]:
                 del self._peers[gone]
         was = self._peers.get(sender)

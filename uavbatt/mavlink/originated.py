@@ -1,8 +1,8 @@
-"""The one list of what this house may send towards an autopilot. No dependencies: the proxy lives on it too.
+"""The one list of messages that may be sent to an autopilot. No dependencies, because the proxy uses it too.
 
-Always HEARTBEAT (behind the proxy only with one of the two below). `--request`: PARAM_REQUEST_READ, and COMMAND_LONG
-for SET_MESSAGE_INTERVAL. `--request-mission`: the read half of the mission protocol. Nothing that writes or commands,
-and never a battery message.
+HEARTBEAT always (behind the proxy only with one of the two options below). With `--request` PARAM_REQUEST_READ, and
+COMMAND_LONG for SET_MESSAGE_INTERVAL. With `--request-mission` the read half of the mission protocol. Never a message
+that writes or commands, and never a battery message.
 """
 
 from __future__ import annotations

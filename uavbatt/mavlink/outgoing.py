@@ -1,9 +1,8 @@
-"""Our own frames: MAVLink 2, packed by pymavlink, unknown values as each field's sentinel.
+"""Our own frames: MAVLink 2, packed by pymavlink; unknown values become the sentinel of each field.
 
-Components of the vehicle's system: the companion itself (`own_component` of its configuration), and BATTERY, a battery
-of its own. Signed when a key is given, at the time of the wall clock: a receiver refuses a stream that begins a minute
-late.
-What of them may travel towards the autopilot stands in `originated`.
+They have the vehicle's system id, and the component of the companion (`own_component` of the configuration) or BATTERY.
+If a key is given they are signed with the time of the wall clock, because a receiver refuses a stream that begins a
+minute late. `originated` lists which of them may go to the autopilot.
 """
 
 from __future__ import annotations

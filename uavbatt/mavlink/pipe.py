@@ -1,4 +1,4 @@
-"""Open descriptors: a stream with the bytes it has not taken yet, and how a loop waits.
+"""Open descriptors: a stream with its bytes that wait to be sent, and how a loop waits.
 
 A stream may be slower than what is sent on it: a radio of 1200 baud, a modem in the shade of a hill. What waits there
 is late, and nobody at the other end can see that: a time left that was true a minute ago looks as if it were of now.
@@ -74,7 +74,7 @@ def unsent(descriptor: int, is_socket: bool) -> int:
 
 
 class Pipe:
-    """A pipe is one open stream: a descriptor with the bytes it has not taken yet."""
+    """Pipe is one open stream: a descriptor, with the bytes that wait to be sent."""
 
     def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
         self.fd, self._owner, self._pending = fd, owner, b""

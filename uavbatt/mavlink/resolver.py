@@ -1,4 +1,4 @@
-"""Host names -> addresses, beside a loop that must not wait."""
+"""Host names -> addresses, in a thread beside a loop that must not wait."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import threading
 
 
 class Resolver:
-    """Resolver finds the address of a host without making anybody wait: a slow one is asked in a thread of its own."""
+    """Resolver finds the address of a host in a thread of its own, so that nobody waits for a slow name server."""
 
     def __init__(self, host: str) -> None:
         self._host = host

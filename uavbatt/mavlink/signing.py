@@ -1,12 +1,12 @@
-"""Signatures of received frames (MAVLink 2): who holds the key, and is the frame new?
+"""Signatures of received frames (MAVLink 2): does the sender have the key, and is the frame new?
 
     signature (13): link id | timestamp (u48, little endian, 10 us since 2015) | first 48 bits of
                     SHA-256(key, frame from its first byte up to and with the timestamp)
 
-The timestamp of a stream (system, component, link id) always rises; a new stream may lie at most a minute behind the
-newest frame of all. It is not held against the clock of this computer: neither a companion nor an autopilot need know
-the time. Frames without a signature count as long as their sender has never shown a good one: a vehicle that does not
-sign is heard, a vehicle that does cannot be spoken for without the key.
+The timestamp of a stream (system, component, link id) always rises; a new stream may be at most a minute behind the
+newest frame of all. It is not compared with the clock of this computer, because neither companion nor autopilot may
+know the time. Frames without a signature count as long as their sender has never sent a good signature: so a vehicle
+that does not sign is heard, and nobody without the key can send in the name of a vehicle that signs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Verifier:
         self.rejected = 0
 
     def accepts(self, frame: bytes, header: framing.Header) -> bool:
-        """Return True if a whole frame is to be believed."""
+        """Return True if a complete frame is accepted."""
         why = self._fault(frame, header)
         if not why:
             return True

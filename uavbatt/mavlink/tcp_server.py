@@ -1,9 +1,9 @@
-"""`tcpin:HOST:PORT`: clients come, each gets everything.
+"""`tcpin:HOST:PORT`: a server to which every client may connect; each gets all bytes.
 
-Dropped are a client that takes its bytes too slowly, where an autopilot is expected one that has not spoken within a
-minute, and one that is silent while another wants its place: in a full table the newcomer gets the place of the oldest
-client that has never spoken, else of the one that has been quiet for longest, unless all have spoken in the last
-QUIET_S. So an autopilot that comes gets a place among the silent, and one that speaks keeps it.
+A client is dropped if it reads too slowly, and, on the autopilot's link, if it has sent nothing within a minute. If all
+places are taken, a new client gets the place of the oldest client that has never sent anything, else of the one that
+has been silent for longest; it is refused if all have sent in the last QUIET_S. So an autopilot always finds a place
+among silent clients, and keeps it while it sends.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class TcpServer:
         yield from (client.fd for client in self._clients)
 
     def read(self, now_s: float) -> list[Chunk]:
-        """Return the bytes that the clients sent; forget those that left or are silent, take in new ones."""
+        """Return the bytes that the clients sent; drop clients that left or are silent, accept new ones."""
         found: list[Chunk] = []
         for client, (has_spoken, since_s) in list(self._clients.items()):
             data = client.read()
@@ -58,7 +58,7 @@ class TcpServer:
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Send to every client that is not behind, the one that has just come as well."""
+        """Send to every client that is not behind, also to one that has just connected."""
         self._accept(now_s)
         for client in list(self._clients):
             if not client.offer(data, now_s):
@@ -71,7 +71,7 @@ class TcpServer:
         self._socket.close()
 
     def _accept(self, now_s: float) -> None:
-        """Whoever waits, at most a table full a turn; who finds no place is sent away."""
+        """Accept the clients that wait, MOST_CLIENTS a turn at most; refuse those without a place."""
         for _ in range(MOST_CLIENTS):
             try:
                 made, _address = self._socket.accept()

@@ -1,1 +1,1 @@
-"""The pack ledger: what every flight taught of a pack, remembered from flight to flight."""
+"""The pack ledger: the evidence of every flight about a pack, kept from flight to flight."""

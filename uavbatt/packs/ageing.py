@@ -1,10 +1,10 @@
-"""The slow filter: health of a pack from flight to flight.
+"""The slow filter: a Kalman filter over a pack's health from flight to flight.
 
     x = (ln ohm, ln Ah, their change a flight);  x' = F x + w,  z = (ln ohm, ln Ah) of one flight + v
 
-w is what flights and the calendar may do to a pack unseen, v what one flight says of it. A flight that does not fit is
-never averaged in: more ohms or less charge at once is damage, and the belief begins anew there; fewer ohms or more
-charge at once no pack can do, so that it is another pack under this name, whose flight is set aside.
+w is the change by flights and by storage, v the error of one flight's evidence. A flight that does not fit is never
+averaged in. A sudden rise of the resistance or loss of capacity is damage: the belief is widened there. A sudden fall
+of the resistance or gain of capacity is impossible: it is another pack under the same name; its flight is set aside.
 """
 
 from __future__ import annotations
@@ -18,27 +18,28 @@ import numpy as np
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.state_space import mixed_covariance
 from uavbatt.packs import findings as odd
-from uavbatt.packs.records import FlightRecord, Known, PackFinding, Remembered
+from uavbatt.packs.records import FlightRecord, LedgerFlight, PackBelief, PackFinding
 
-# A pack that nobody met is as good as new, or it is in service: shares, means and sds of (ln ohm, ln Ah) against its
-# type and its rating. From flight to flight it ages: LiPo packs lose a fifth in 50 to 300 flights, and a season of hard
-# use can take 2 % a flight; by the time a fifth is lost the ohms are half as many again, or more: twice the change.
+# An unknown pack is either as new or used: shares, means and standard deviations of (ln ohm, ln Ah) against its type
+# and its rating. LiPo packs lose a fifth of their capacity in 50 to 300 flights, and hard use can take 2 % a flight.
+# When a fifth is lost, the resistance has risen by half or more: the trend of ln ohm is twice that of ln Ah.
 NEW_SHARE = 0.6
 NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
 USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
 TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.020, 0.010])
-AGED_TOGETHER = (-0.5, -0.9)  # correlations, of what is and of its change: who has lost charge has gained ohms
-FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # a flight more
-MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # a month on the shelf
+AGED_TOGETHER = (-0.5, -0.9)  # correlation of ln ohm and ln Ah, and of their trends: both worsen together
+FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # of one flight
+MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # of one month of storage
 DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
 LONGEST_DAYS = 3650.0
-# What a flight says of ohms holds at its own temperature and load: so far it may be off in the next flight's.
+# A flight's evidence holds at its own temperature and load; the next flight has others.
 OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
-OTHER_FILE_SD = np.array([0.10, 0.03])  # read with another battery file
-# A flight is odd at this many sd; two in a row, taken together, at fewer.
+OTHER_FILE_SD = np.array([0.10, 0.03])  # for evidence that was read with another battery file
+# A flight is odd from this many sd on; two flights in a row, taken together, from fewer.
 ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 2.5, 2.5
-DAMAGED_SHARE = 0.1  # of packs that look so after two flights; the others age faster than was known
+DAMAGED_SHARE = 0.1  # of the packs that look damaged after two flights; the others age faster than was believed
 DAMAGE_SD = np.array([0.30, 0.15, 0.0, 0.0])
 
 F = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -46,17 +47,17 @@ H = np.eye(2, 4)
 OHM, CHARGE = 0, 1
 
 
-def _first(flight: FlightRecord, mean: Array, sd: Array) -> Known:
-    """The belief about a pack before its first flight, if it is of one of the two kinds."""
+def _first(flight: FlightRecord, mean: Array, sd: Array) -> PackBelief:
+    """Return the belief about a pack before its first flight, for one of the two kinds (new, used)."""
     type_log = np.log([flight.type_ohm, flight.rated_Ah])
     every_sd = np.concatenate([sd, TREND_SD])
     covariance = np.diag(every_sd**2)
     for k, correlation in zip((0, 2), AGED_TOGETHER, strict=True):
         covariance[k, k + 1] = covariance[k + 1, k] = correlation * every_sd[k] * every_sd[k + 1]
-    return Known(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
+    return PackBelief(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
 
 
-def first_known(flight: FlightRecord) -> Known:
+def first_known(flight: FlightRecord) -> PackBelief:
     """Return the belief about a pack after its first flight: new and used packs, each weighed by its likelihood."""
     kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
     likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
@@ -64,32 +65,29 @@ def first_known(flight: FlightRecord) -> Known:
 
 
 def _shares(likely: Array) -> Array:
-    """Return likelihoods [2] as shares of 1; where both are nothing the second has all."""
+    """Return likelihoods [2] as shares of 1; if both are zero, the second gets all."""
     return np.asarray(likely / likely.sum()) if likely.sum() > 0.0 else np.array([0.0, 1.0])
 
 
-def _together(weight: Array, beliefs: Sequence[Known]) -> Known:
-    """One belief with the mean and the covariance of several that are each so likely."""
-    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, beliefs, strict=True)))
-    covariance = np.zeros((4, 4))
-    for w, known in zip(weight, beliefs, strict=True):
-        apart = known.mean - mean
-        covariance += w * (known.covariance + np.outer(apart, apart))
-    return Known(mean, covariance)
+def _together(weight: Array, beliefs: Sequence[PackBelief]) -> PackBelief:
+    """Return one belief with the mean and the covariance of a weighted mixture of beliefs."""
+    means = np.array([belief.mean for belief in beliefs])
+    covariance = mixed_covariance(means, np.array([belief.covariance for belief in beliefs]), weight)
+    return PackBelief(weight @ means, covariance)
 
 
-def _likelihood(known: Known, flight: FlightRecord) -> float:
-    """Return how likely a belief made what the flight says, but for a constant."""
+def _likelihood(known: PackBelief, flight: FlightRecord) -> float:
+    """Return the likelihood of a flight's evidence under a belief, without its constant factor."""
     spread = H @ known.covariance @ H.T + flight.told.matrix
     apart = flight.told.mean - H @ known.mean
     return math.exp(-0.5 * float(apart @ np.linalg.solve(spread, apart))) / math.sqrt(float(np.linalg.det(spread)))
 
 
-def predicted(known: Known, days: float) -> Known:
+def predicted(known: PackBelief, days: float) -> PackBelief:
     """Return the belief `days` [days] later, before the next flight; unknown days (NaN) count as none."""
     days = min(max(days, 0.0), LONGEST_DAYS) if math.isfinite(days) else 0.0
     walked = FLIGHT_SD**2 + MONTH_SD**2 * days / DAYS_A_MONTH
-    return Known(F @ known.mean, F @ known.covariance @ F.T + np.diag(walked))
+    return PackBelief(F @ known.mean, F @ known.covariance @ F.T + np.diag(walked))
 
 
 def days_between(earlier: FlightRecord, start_utc_s: float) -> float:
@@ -97,25 +95,25 @@ def days_between(earlier: FlightRecord, start_utc_s: float) -> float:
     return (start_utc_s - earlier.start_utc_s) / SECONDS_A_DAY
 
 
-def updated(known: Known, told_mean: Array, told_covariance: Array) -> Known:
-    """Return a belief after Kalman's update by what a flight says: its mean [2] and covariance [2, 2].
+def updated(known: PackBelief, told_mean: Array, told_covariance: Array) -> PackBelief:
+    """Return a belief after a Kalman update with the evidence of a flight: its mean [2] and covariance [2, 2].
 
-    Joseph's form is not needed: two numbers, well scaled.
+    The Joseph form is not needed for two numbers of similar size.
     """
     spread = H @ known.covariance @ H.T + told_covariance
     gain = np.linalg.solve(spread, H @ known.covariance).T
     covariance = known.covariance - gain @ spread @ gain.T
-    return Known(known.mean + gain @ (told_mean - H @ known.mean), 0.5 * (covariance + covariance.T))
+    return PackBelief(known.mean + gain @ (told_mean - H @ known.mean), 0.5 * (covariance + covariance.T))
 
 
-def oddness(known: Known, flight: FlightRecord, doubt: Array) -> Array:
-    """Return how many sd each of a flight's two numbers (ln ohm, ln Ah) lies from what was expected, [2]."""
+def oddness(known: PackBelief, flight: FlightRecord, doubt: Array) -> Array:
+    """Return how many sd each of a flight's two numbers (ln ohm, ln Ah) lies from its expected value, [2]."""
     spread = np.diag(H @ known.covariance @ H.T + doubt)
     return np.asarray((flight.told.mean - H @ known.mean) / np.sqrt(spread))
 
 
-def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -> Array:
-    """Return how many sd two flights in a row lie, by the same step, from what was expected before both, [2]."""
+def oddness_together(before: PackBelief, one: FlightRecord, next_one: FlightRecord) -> Array:
+    """Return how many sd a common step of two flights in a row lies from the value expected before both, [2]."""
     after = predicted(before, 0.0)
     found = []
     for k in (OHM, CHARGE):
@@ -128,19 +126,19 @@ def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -
 
 
 class AgeingState(NamedTuple):
-    """AgeingState holds the state of the slow filter: the belief about a pack, and what may correct it later."""
+    """AgeingState holds the state of the slow filter: the belief about a pack, and the beliefs it may return to."""
 
-    known: Known
-    expected: Known  # before the last flight
+    known: PackBelief
+    expected: PackBelief  # before the last flight
     last: FlightRecord
-    undamaged: Known | None = None  # before the last damage: it may have been another pack
-    aside: FlightRecord | None = None  # the last flight, if it was not believed to be this pack's
-    is_settled: bool = True  # the last flight was nothing odd
+    undamaged: PackBelief | None = None  # before the last damage, which may have been a change of the pack
+    aside: FlightRecord | None = None  # the last flight, if it is believed to be of another pack
+    is_settled: bool = True  # the last flight was not odd
 
 
-def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
-    """Return what is believed after each flight of a pack; `flights` must be in order of time."""
-    found: list[Remembered] = []
+def history(flights: Sequence[FlightRecord]) -> list[LedgerFlight]:
+    """Return the belief after each flight of a pack; `flights` must be in order of time."""
+    found: list[LedgerFlight] = []
     course: AgeingState | None = None
     fullest_V = ORDINARY_FULL_V
     for flight in flights:
@@ -151,7 +149,7 @@ def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
         else:
             course, findings = _next(course, flight)
         fullest_V = max(fullest_V, flight.fullest_cell_V) if math.isfinite(flight.fullest_cell_V) else fullest_V
-        found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight)), fullest_V))
+        found.append(LedgerFlight(flight, course.known, (*findings, *odd.by_itself(flight)), fullest_V))
     return found
 
 
@@ -159,12 +157,12 @@ def _begun(flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
     return AgeingState(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
 
 
-def _taken(expected: Known, flight: FlightRecord) -> Known:
+def _taken(expected: PackBelief, flight: FlightRecord) -> PackBelief:
     return updated(expected, flight.told.mean, flight.told.matrix)
 
 
 def _next(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
-    """One flight more: as expected, damaged since the last one, or not this pack at all."""
+    """Take in one more flight: as expected, after damage, or of another pack."""
     beside = odd.between(course.last, flight)
     expected = predicted(course.known, days_between(course.last, flight.start_utc_s))
     z = oddness(expected, flight, flight.told.matrix)
@@ -182,16 +180,19 @@ def _next(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, tuple
     return course, (said, *beside)
 
 
-def _shaken(expected: Known, z: Array) -> Known:
-    """The belief about a pack to which something has happened: to its ohms, or to its charge as well."""
+def _shaken(expected: PackBelief, z: Array) -> PackBelief:
+    """Return the belief about a damaged pack: its resistance is less certain, its capacity too if that has changed."""
     sd = DAMAGE_SD * np.array([1.0, float(-z[CHARGE] > FITS_AGAIN), 0.0, 0.0])
-    return Known(expected.mean, expected.covariance + np.diag(sd**2))
+    return PackBelief(expected.mean, expected.covariance + np.diag(sd**2))
 
 
 def _improved(
-    course: AgeingState, expected: Known, flight: FlightRecord, said: PackFinding
+    course: AgeingState, expected: PackBelief, flight: FlightRecord, said: PackFinding
 ) -> tuple[AgeingState, PackFinding]:
-    """A flight better than the pack can be: set aside, unless it is the pack from before, or the new one again."""
+    """Take in a flight that is better than the pack can be.
+
+    The flight is set aside, unless it fits the pack before its damage, or is the second such flight in a row.
+    """
     old = course.undamaged
     if old is not None and np.abs(oddness(predicted(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
         again = "as before the damage: the flights in between were another pack's"
@@ -206,9 +207,9 @@ def _improved(
 
 
 def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, PackFinding] | None:
-    """Two flights in a row that say the same: damage, of which one alone was not sure, or faster ageing.
+    """Take in the second of two odd flights that agree: damage that one flight could not prove, or faster ageing.
 
-    The belief holds both, each as likely as the two flights make it, so that later flights decide.
+    The new belief is a mixture of both, weighted by the likelihood of the two flights, so that later flights decide.
     """
     z = oddness_together(course.expected, course.last, flight)
     if max(z[OHM], -z[CHARGE]) <= ODD_TOGETHER:
@@ -223,8 +224,8 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
     return AgeingState(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 
 
-def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:
-    """Return the prior of the next flight, `days` [days] after the last; `other_file`: with another battery file."""
+def prior(known: PackBelief, days: float, other_file: bool = False) -> PackHealth:
+    """Return the prior of the next flight, `days` [days] after the last; other_file : it uses another battery file."""
     expected = predicted(known, days)
     doubt = OTHER_CONDITIONS_SD**2 + (OTHER_FILE_SD**2 if other_file else 0.0)
     log_ohm, log_Ah = (float(value) for value in expected.mean[:2])

@@ -1,6 +1,6 @@
-"""Flights that have not landed yet: their rows in the ledger, so that a process that dies in the air loses none.
+"""Rows of flights that have not landed yet, kept in the ledger so that a crash in flight loses none of them.
 
-A flight's rows are means over ROW_S, so that half an hour is 900 rows of 40 bytes, and are gone once it has landed.
+The rows are means over ROW_S (half an hour: 900 rows of 40 bytes) and are deleted after the landing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Airborne(NamedTuple):
 
 
 class LeftOver(NamedTuple):
-    """LeftOver holds a flight, with its rows, of a process that did not see it land."""
+    """LeftOver holds a flight and its rows that an earlier process left open in the ledger."""
 
     number: int
     flight: Airborne
@@ -58,14 +58,14 @@ def store_rows(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
 
 
 def left_over(ledger: Ledger) -> list[LeftOver]:
-    """Return the flights that never landed here."""
+    """Return the flights that are still open in the ledger."""
     with ledger.reading() as connection:
         found = connection.execute("SELECT * FROM airborne ORDER BY id").fetchall()
         return [_left_over(connection, row) for row in found]
 
 
 def delete_flight(ledger: Ledger, number: int) -> None:
-    """Delete a flight that taught nothing."""
+    """Delete an open flight that shows nothing of its pack."""
     with ledger.writing() as connection:
         connection.execute("DELETE FROM airborne WHERE id = ?", (number,))
 

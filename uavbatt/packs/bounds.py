@@ -1,6 +1,6 @@
-"""The bounds of a flight's record: what a flight can be, so that no edited file brings into a ledger what breaks it.
+"""Bounds of every value in a flight's record: an edited file that breaks them is refused.
 
-They are wide: what a ledger has written lies within them.
+They are wide: every value that a ledger wrote lies within them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NEEDED = ("rated_Ah", "type_ohm")
 
 
 def doubt_of(flight: FlightRecord) -> tuple[str, str] | None:
-    """Return the key of a flight's value that cannot be true, and what was expected; None if it may be a flight."""
+    """Return the key of an impossible value of a flight, and the expected range; None if all values are possible."""
     for key, (low, high) in BOUNDS.items():
         value = getattr(flight, key)
         is_unknown = value is None or (math.isnan(value) and key not in NEEDED)
@@ -48,7 +48,7 @@ def doubt_of(flight: FlightRecord) -> tuple[str, str] | None:
 
 
 def _told_doubt(flight: FlightRecord) -> str:
-    """Return what was expected of the evidence of a flight; empty if it may be some."""
+    """Return what was expected of the evidence of a flight; empty if the evidence is possible."""
     told = flight.told
     for log, (low, high) in ((told.log_ohm, OHM), (told.log_Ah, AH)):
         if not math.log(low) < log < math.log(high):

@@ -1,13 +1,12 @@
-"""Evidence of one flight about a pack, out of the filter's belief at its end.
+"""Evidence of one flight about a pack, from the filter's belief at its end.
 
-The flight is run from a prior so wide (`remembered.UNKNOWN`) that what is believed at the end is nearly the
-flight's own word; the little that the prior had in it is taken out again:
+The flight is run from a very wide prior (`remembered.UNKNOWN`), and the small part of the prior is subtracted again:
 
-    information told = information at the end - information before
+    information of the flight = information at the end - information before
 
-Drop under load that the model lacks shows as ohms, as discrepancy, or as both, whichever the first minutes made of it.
-So the discrepancy under load counts as ohms at the current of a hover: their sum is known five times better than
-either. What the belief holds for a reaction does not count: handed on as ohms it made plans too long in the cold.
+A voltage drop under load that the model lacks appears as resistance, as discrepancy, or as both; the first minutes
+decide. So the discrepancy under load is converted to ohms at the hover current and added: the sum is known five times
+better than either. The reaction overpotential is not added: counted as ohms it made plans too long in the cold.
 """
 
 from __future__ import annotations
@@ -21,25 +20,26 @@ from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.remembered import UNKNOWN, Scales, health_of, hover_drop_V
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.packs.records import Told
+from uavbatt.packs.records import FlightEvidence
 
-ELECTRODE_SD_V = 0.025  # what sluggish electrodes take over the life of a pack; one flight leaves room for twice that
-# From flight to flight of one pack the beliefs scatter by a part of what each says of itself: the other part is the
-# error of the battery file, which is the same in all of them. Of the charge that part falls with what a flight tells:
-# one that lands half full extrapolates, and errs by all of its sd.
+ELECTRODE_SD_V = 0.025  # drop by slow electrodes over the life of a pack; one flight leaves room for twice that
+# Between flights of one pack the evidence scatters by a part of its stated sd: the other part is the error of the
+# battery file, which is the same in all of them. For the capacity the scattering part falls with what a flight shows:
+# a flight that lands half full extrapolates, and all of its sd is scatter.
 OHM_SHARE, ALL_CHANCE_SD = 0.35, 0.16
 LEAST_SD = np.array([0.015, 0.01])
-# A flight in the cold says less of 25 °C: the file's temperature dependence is not known better [per K].
+# A flight in the cold shows less of the values at 25 °C: so well is the file's temperature dependence known [per K].
 COLD_SD_PER_K = np.array([0.005, 0.002])
 UNKNOWN_AWAY_K = 12.0
-# Of the prior's variance: what a flight leaves at least and at most, and up to which it counts as if all were its own.
+# Shares of the prior's variance: least and most that a flight leaves, and where magnifying its distance stops.
 SMALLEST_SHARE, LARGEST_SHARE, MAGNIFIED_SHARE = 1e-6, 0.98, 0.5
 
 
-def told(pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float) -> Told:
-    """Return what the flight says, from its beliefs in order of time under load and that at its last row of all.
+def evidence_of_flight(pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float) -> FlightEvidence:
+    """Return the evidence of a flight.
 
-    `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
+    loaded : beliefs under load in order of time; last : belief at the last row of all
+    temp_C : mean temperature of the pack under load [°C]; NaN if not measured
     """
     said = _with_rest(_under_load(pack, loaded), loaded[-1], last)
     log_ohm, log_Ah, covariance = health_of(pack, said)[:3]
@@ -47,13 +47,13 @@ def told(pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float) -> T
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)
     scatter += np.diag(LEAST_SD**2 + (COLD_SD_PER_K * away_K) ** 2)
-    return Told(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
+    return FlightEvidence(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
 
 
 def _under_load(pack: Pack, loaded: Sequence[Belief]) -> Scales:
-    """Return what the rows under load say: of the capacity all of them, of the ohms when they were known best.
+    """Return the evidence of the rows under load: the last capacity, and the resistance when it was known best.
 
-    At the knee the discrepancy is not known, and nor is its sum with the ohms.
+    At the knee the discrepancy is not known, and so neither is its sum with the resistance.
     """
     said = [_without_prior(_scales(pack, belief), _prior(pack)) for belief in loaded]
     best = min(said, key=lambda s: float(s.covariance[0, 0]))
@@ -64,24 +64,22 @@ def _under_load(pack: Pack, loaded: Sequence[Belief]) -> Scales:
 
 
 def _prior(pack: Pack) -> Scales:
-    """Return what the flight's run began with: nothing known of the pack, and the discrepancy that its type may
-    have.
-    """
+    """Return the prior of the run: a pack of which nothing is known, and the discrepancy that its type may have."""
     discrepancy_sd = _ohms_per_volt(pack) * math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
     return Scales(UNKNOWN.mean, UNKNOWN.covariance + np.diag([discrepancy_sd**2, 0.0]))
 
 
 def _ohms_per_volt(pack: Pack) -> float:
-    """Return how much a volt of discrepancy counts in ln of the resistance: as at the current of a hover.
+    """Return the change of ln resistance per volt of discrepancy [1/V], at the hover current.
 
-    Less where the battery file's own discrepancy is so large that it would drown the ohms.
+    It is limited if the battery file's own discrepancy is so large that it would hide the resistance.
     """
     most = math.sqrt(UNKNOWN.covariance[0, 0]) / math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
     return min(1.0 / hover_drop_V(pack), most)
 
 
 def _scales(pack: Pack, belief: Belief) -> Scales:
-    """The belief's resistance and capacity, the discrepancy in it counted as ohms."""
+    """Return resistance and capacity of a belief, with its discrepancy counted as resistance."""
     read = np.zeros((2, len(X)))
     read[0, X.LOG_RESISTANCE], read[0, X.BIAS] = 1.0, -_ohms_per_volt(pack)
     read[1, X.LOG_CAPACITY] = 1.0
@@ -89,22 +87,23 @@ def _scales(pack: Pack, belief: Belief) -> Scales:
 
 
 def _without_prior(belief: Scales, prior: Scales) -> Scales:
-    """Return what a belief says beyond its prior: along the axes on which it knows more than that.
+    """Return the evidence in a belief without its prior, worked out along the principal axes.
 
-    Where it hardly does, its distance from the prior is chance, and is not magnified without bound.
+    On an axis where the belief is hardly better than the prior, its distance from the prior is chance: that distance
+    is magnified by a bounded factor only.
     """
     sd = np.sqrt(np.diag(prior.covariance))
     share, axes = np.linalg.eigh(belief.covariance / np.outer(sd, sd))
     share = np.clip(share, SMALLEST_SHARE, LARGEST_SHARE)
     away = axes.T @ ((belief.mean - prior.mean) / sd)
-    own = (axes * (share / (1.0 - share))) @ axes.T  # variance of what was said
+    own = (axes * (share / (1.0 - share))) @ axes.T  # variance of the evidence
     return Scales(
         prior.mean + sd * (axes @ (away / (1.0 - np.minimum(share, MAGNIFIED_SHARE)))), own * np.outer(sd, sd)
     )
 
 
 def _with_rest(said: Scales, loaded: Belief, last: Belief) -> Scales:
-    """Return what the rows after the load say of the capacity besides: the rested voltage after landing."""
+    """Return the evidence with what the rested voltage after landing adds about the capacity."""
     k = X.LOG_CAPACITY
     before, after = float(loaded.covariance[k, k]), float(last.covariance[k, k])
     if not after < LARGEST_SHARE * before:

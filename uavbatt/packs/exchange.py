@@ -1,4 +1,4 @@
-"""One pack as JSON, to carry it from one ledger to another: its flights, out of which all else follows."""
+"""One pack as JSON, to move it from one ledger to another: its flights, from which everything else is worked out."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def plain_pack(ledger: Ledger, name: str) -> dict[str, Any]:
 
 
 class CarriedPack(NamedTuple):
-    """A CarriedPack was read from its file and checked, so that a ledger may take it in."""
+    """A CarriedPack holds a pack that was read from its file and checked."""
 
     name: str
     flights: tuple[FlightRecord, ...]
 
 
 def read_pack(path: Path) -> CarriedPack:
-    """Read a pack's file. Raises BadInput that names what in it no ledger can hold."""
+    """Read a pack's file. Raises BadInput that names the value that no ledger can hold."""
     try:
         content = msgspec.json.decode(path.read_bytes(), type=PackFile)
         flights = tuple(flight_of(entry) for entry in content.flights)

@@ -1,4 +1,4 @@
-"""Oddities that a flight shows of its pack, beside its resistance and capacity."""
+"""Findings of a flight about its pack, other than resistance and capacity: weak cell, damage, another pack."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from uavbatt.battery.model import Array
 from uavbatt.packs.records import FlightRecord, PackFinding
 
-WEAK_CELL_V = 0.06  # below the mean of the cells under load: balanced packs stay within half of it
+WEAK_CELL_V = 0.06  # below the mean of the cells under load; cells of a balanced pack stay within half of it
 FASTEST_CHARGE_C, COUNTED_CHARGE = 6.0, 0.15  # chargers give 1 to 5 C; smaller rises may be a misread start
 ANOTHER = "another_pack"
 HELD_TEXT = "another pack under this name?"
@@ -36,15 +36,15 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
 
 
 def of_higher_charge(flight: FlightRecord) -> PackFinding:
-    """Return the finding of a pack that shows, later than with its first flight, that its cells charge higher."""
+    """Return the finding of a pack whose cells are seen to charge higher than in its earlier flights (LiHV)."""
     words = f"a cell rests at {flight.fullest_cell_V:.2f} V: it charges to 4.35 V (LiHV), flights before are left out"
     return PackFinding("higher_charge", words)
 
 
 def sudden(z: Array, change: Array, since: str = " at once", causes: str = "damaged?") -> PackFinding:
-    """Return the finding of damage: which of the two numbers shows it, and by how much.
+    """Return the finding of damage, by the resistance or by the capacity, whichever is further off.
 
-    z [2], change [2]: how many sd, and by how much in ln, ohms and charge lie from what was expected.
+    z [2] : distance of ln ohm and ln Ah from their expected values [sd]; change [2] : the same in ln
     """
     if z[0] >= -z[1]:
         return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms{since}: {causes}")
@@ -52,7 +52,7 @@ def sudden(z: Array, change: Array, since: str = " at once", causes: str = "dama
 
 
 def another(z: Array, change: Array) -> PackFinding:
-    """Return the finding of a change that no pack can make, so that this is another; z and change as in `sudden`."""
+    """Return the finding of another pack, by a change that no pack can make; z and change as in `sudden`."""
     if -z[0] >= z[1]:
         what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:

@@ -1,8 +1,7 @@
-"""The pack ledger: one SQLite file, one writer at a time, whole after every kill.
+"""The pack ledger: one SQLite file with one writer at a time, never left half-written.
 
-A flight is saved in one transaction with all that follows from it: the beliefs after the later flights of its pack,
-and the pack's outlook. Flights are kept as they were flown, so that the order in which logs are replayed changes
-nothing: the slow filter runs over them in order of time.
+One transaction saves a flight together with the beliefs after the later flights of its pack and the pack's outlook. The
+slow filter always runs over all flights of a pack in order of time, so that the order of replays changes nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
 from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.outlook import outlook
-from uavbatt.packs.records import FlightRecord, PackRow, Remembered
+from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
 
 PATIENCE_S = 10.0  # for another writer
 SHOWN_FINDINGS = 5
@@ -27,7 +26,7 @@ LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
 _BROKEN = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second for a text, in a row or an error, that is damaged
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
-# A log of the same flight that began earlier is not before it; without a clock, all are but those saved after it.
+# A log of the same flight that began earlier does not count; without a clock, all flights count that were saved before.
 BEFORE = f"""
 {OF_PACK} AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
     ELSE key != :key AND (start_utc_s IS NOT NULL OR flights.id < ifnull(
@@ -78,7 +77,7 @@ class Ledger:
 
     @contextmanager
     def _told(self) -> Iterator[None]:
-        """Errors of SQLite, and rows that are damaged, in one line that names the file."""
+        """Turn errors of SQLite and damaged rows into one line that names the file."""
         try:
             yield
         except rows.DamagedRow as error:
@@ -94,7 +93,7 @@ class Ledger:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """Yield the connection for the one writer: all that is done within is saved together, or nothing of it."""
+        """Yield the connection inside one transaction: everything done with it is saved, or nothing."""
         with self._told():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
@@ -116,38 +115,39 @@ class Ledger:
             row = self._connection.execute("SELECT * FROM packs WHERE name = ?", (name,)).fetchone()
             return rows.pack_of(row) if row is not None else None
 
-    def flights(self, name: str) -> list[Remembered]:
-        """Return the flights of a pack in order of time, with what is believed after each."""
+    def flights(self, name: str) -> list[LedgerFlight]:
+        """Return the flights of a pack in order of time, each with the belief after it."""
         with self._told():
             found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
-    def last(self, name: str) -> Remembered | None:
-        """Return the last flight of a pack, with what is believed after it; None without one."""
+    def last(self, name: str) -> LedgerFlight | None:
+        """Return the last flight of a pack with the belief after it; None without one."""
         return self._one(f"{OF_PACK} {LATEST}", {"name": name})
 
-    def before(self, name: str, start_utc_s: float, key: str) -> Remembered | None:
-        """Return the last flight of a pack before the flight of that key, which began at a time [s since 1970].
+    def before(self, name: str, start_utc_s: float, key: str) -> LedgerFlight | None:
+        """Return the last flight of a pack before the flight with that key and start.
 
-        NaN where no clock was set: such flights come after all others, in the order in which they were saved.
+        start_utc_s : [s since 1970]; NaN if no clock was set. Such flights come after all others, in the order in which
+        they were saved.
         """
         start = start_utc_s if math.isfinite(start_utc_s) else None
         return self._one(BEFORE, {"name": name, "key": key, "start": start})
 
-    def _one(self, query: str, values: dict[str, object]) -> Remembered | None:
+    def _one(self, query: str, values: dict[str, object]) -> LedgerFlight | None:
         with self._told():
             row = self._connection.execute(query, values).fetchone()
             return rows.remembered_of(row) if row is not None else None
 
-    def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> Remembered:
-        """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.
+    def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> LedgerFlight:
+        """Save a flight of a pack, and return it with the belief after it.
 
-        Returns the flight with what is believed after it. Raises AnotherSize for a pack of other cells. `landed` is the
-        number of the airborne flight that this one was, which ends with it.
+        A shorter record of the same flight is replaced. `landed` is the number of the open flight that ends with this
+        one. Raises AnotherSize for a pack of another number of cells.
         """
         return self.save_all(name, [flight], landed)[-1]
 
-    def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[Remembered]:
+    def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[LedgerFlight]:
         """Save many flights of one pack at once, as one by one; return those that stand in the ledger now."""
         check_name(name, self.path, "pack")
         with self.writing() as connection:
@@ -160,7 +160,7 @@ class Ledger:
         return [after[key] for key in kept if key in after]
 
     def forget(self, name: str) -> bool:
-        """Delete a pack with its flights, also one that never landed; return False when there is none of that name."""
+        """Delete a pack with all its flights, open ones too; return False if there is no pack of that name."""
         with self.writing() as connection:
             connection.execute("DELETE FROM flights WHERE pack = (SELECT id FROM packs WHERE name = ?)", (name,))
             tables = ("packs", "airborne")
@@ -168,13 +168,13 @@ class Ledger:
 
 
 def check_name(name: str, path: Path, place: str) -> None:
-    """Raise BadInput for a name that no pack can have; it stands at a place of the file `path`."""
+    """Raise BadInput for a name that no pack can have; `path` and `place` say where it was found."""
     if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
         raise BadInput(path, place, f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
 
 
-def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
-    """Return the prior of a flight that begins at a time [s since 1970], by what is believed after the one before."""
+def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHealth:
+    """Return the prior of a flight that begins at a time [s since 1970], from the belief after the flight before it."""
     days = ageing.days_between(last.flight, start_utc_s)
     health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
     return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
@@ -215,7 +215,7 @@ def _words(error: Exception) -> str:
 
 
 def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Sequence[FlightRecord]) -> int:
-    """The pack's number, made when it is new."""
+    """Return the number of the pack; add the pack if it is new."""
     flight = flights[0]
     row = connection.execute("SELECT id, cells FROM packs WHERE name = ?", (name,)).fetchone()
     cells = flight.cells
@@ -234,9 +234,9 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
 
 
 def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
-    """Write a flight, or leave the longer record of it in place; the key under which it stands.
+    """Write a flight, unless a longer record of it is there; return the key of the record that stays.
 
-    A record that is replaced hands its number on, which is the order of flights without a clock.
+    The new record takes the number of the one it replaces, because the number orders flights without a clock.
     """
     found = connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall()
     every = {int(row["id"]): rows.flight_of(row) for row in found}
@@ -257,7 +257,7 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
     return flight.key
 
 
-def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[Remembered]:
+def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[LedgerFlight]:
     """Run the slow filter over the pack's flights, and write what has changed."""
     found = sorted(connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall(), key=_moment)
     every = ageing.history([rows.flight_of(row) for row in found])
@@ -274,7 +274,7 @@ def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[Reme
 
 
 def _moment(row: sqlite3.Row) -> tuple[float, int]:
-    """Order of flights: by their clock; those without one after all others, as they came."""
+    """Return the sort key of a flight: its start; flights without a clock come last, in the order they were saved."""
     with rows.reading(row):
         return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
 

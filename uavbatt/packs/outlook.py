@@ -6,18 +6,18 @@ import math
 
 import numpy as np
 
-from uavbatt.packs.records import Known, Outlook
+from uavbatt.packs.records import Outlook, PackBelief
 
 RETIRED_AT = 0.8  # of the rated capacity
 INTERVAL_SD = 1.645  # 5 % to 95 %
-# The battery file's own error is in every flight alike, so that no number of flights takes it out.
+# The battery file's own error is the same in every flight, so that no number of flights averages it out.
 SHARED_SD = (0.04, 0.02)  # ln of ohms, ln of Ah
 FARTHEST_FLIGHTS = 500.0
-# 5, 15 .. 95 % points of a standard normal: an even sample of it without chance.
+# 5, 15 .. 95 % points of a standard normal: an even sample without randomness.
 LEVELS = np.array([-1.645, -1.036, -0.674, -0.385, -0.126, 0.126, 0.385, 0.674, 1.036, 1.645])
 
 
-def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
+def outlook(known: PackBelief, rated_Ah: float, flights: int) -> Outlook:
     """Return the outlook of a pack of `rated_Ah` [Ah] after so many flights."""
     sd = np.sqrt(np.diag(known.covariance))
     ohm = np.exp(known.mean[0] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[0], SHARED_SD[0]))
@@ -42,7 +42,7 @@ def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
     )
 
 
-def retirement(known: Known, rated_Ah: float) -> tuple[float, float, float]:
+def retirement(known: PackBelief, rated_Ah: float) -> tuple[float, float, float]:
     """Return the flights left until the capacity is RETIRED_AT of the rated one [Ah]: median, 5 %, 95 % points.
 
     A number beyond FARTHEST_FLIGHTS is given as infinite.

@@ -1,7 +1,7 @@
 """Records of the ledger about packs and flights: frozen values, in ohms and ampere-hours.
 
 A pack's health is ln of its resistance [ohm per cell, at 25 °C and half charge] and ln of its capacity [Ah]. Neither
-depends on the battery file that a flight was read with, so that a new file does not forget the pack.
+depends on the battery file that the flight was read with, so that the ledger stays valid with a new file.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.records import NAN
 
-OWN = "@"  # between the hash of a log's first rows and the start of the flight, where two flights have the same rows
+OWN = "@"  # joins the hash of a log's first rows and the start of the flight, if two flights have the same first rows
 
 
-class Told(NamedTuple):
-    """Told is the evidence of one flight about a pack: ln of ohms and of ampere-hours, variances and covariance."""
+class FlightEvidence(NamedTuple):
+    """FlightEvidence holds what one flight shows of a pack: ln of ohms and of ampere-hours, variances, covariance."""
 
     log_ohm: float
     log_Ah: float
@@ -41,10 +41,10 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
-    """A FlightRecord holds one flight of one pack, whatever the flights before it were."""
+    """A FlightRecord holds one flight of one pack; it does not depend on the flights before it."""
 
-    key: str  # made of the log's first rows: the same log again has it again; the ledger's own of two that are alike
-    told: Told
+    key: str  # hash of the log's first rows, the same for the same log; with OWN if two flights have the same rows
+    told: FlightEvidence
     cells: int
     rated_Ah: float
     type_ohm: float  # of a cell as the battery file has it, at 25 °C and half charge
@@ -65,19 +65,19 @@ class FlightRecord:
     fullest_cell_V: float = NAN  # at which a full cell has rested; ORDINARY_FULL_V where it is no more than that
 
     def is_same_as(self, other: FlightRecord) -> bool:
-        """Return True if two records are of one flight: logs of the same time, or without a clock the same log."""
+        """Return True if two records are of one flight: their times overlap, or, without a clock, their keys agree."""
         if math.isnan(self.start_utc_s + other.start_utc_s):
             return self.key == other.key
-        return _overlap(self, other)  # the first rows of two flights may be alike: a full pack at rest
+        return _overlap(self, other)  # the keys of two flights may agree: both begin with a full pack at rest
 
     def is_of(self, key: str, start_utc_s: float) -> bool:
-        """Return True if this is the flight of the log with that key that began then [s since 1970], NaN if unknown."""
+        """Return True if this flight is of the log with that key and start [s since 1970; NaN if unknown]."""
         if self.start_utc_s == start_utc_s:
             return self.key.partition(OWN)[0] == key.partition(OWN)[0]
         return math.isnan(self.start_utc_s + start_utc_s) and self.key == key
 
     def with_own_key(self) -> FlightRecord:
-        """Return the record under a key of its own, as another flight's log has the same first rows."""
+        """Return the record with a key of its own, for a flight whose log has the same first rows as another's."""
         return replace(self, key=f"{self.key}{OWN}{self.start_utc_s:.3f}")
 
 
@@ -89,8 +89,8 @@ def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
     return shared_s > 0.5 * min(a.duration_s, b.duration_s)
 
 
-class Known(NamedTuple):
-    """Known is the belief about a pack after a flight: mean [4] and covariance [4, 4].
+class PackBelief(NamedTuple):
+    """PackBelief holds the belief about a pack after a flight: mean [4] and covariance [4, 4].
 
     ln of ohms, ln of ampere-hours, and the change of both from flight to flight.
     """
@@ -107,11 +107,11 @@ class PackFinding:
     words: str
 
 
-class Remembered(NamedTuple):
-    """Remembered holds a flight of the ledger, what is believed after it, and what was odd about it."""
+class LedgerFlight(NamedTuple):
+    """LedgerFlight holds a flight of the ledger, the belief about the pack after it, and its findings."""
 
     flight: FlightRecord
-    known: Known
+    known: PackBelief
     findings: tuple[PackFinding, ...]
     fullest_cell_V: float = ORDINARY_FULL_V  # of all flights so far
 

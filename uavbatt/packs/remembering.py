@@ -1,7 +1,7 @@
-"""A flight and the pack ledger: whose pack it is, what was known of it before, what the flight taught.
+"""A flight and the pack ledger: the pack's name, its health before the flight, and the record of the flight.
 
-What a flight taught is worked out by a run of its own, from a prior that knows nothing of the pack. So it is the same
-whatever the ledger holds, in whatever order and on however many cores logs are read.
+The record comes from a run of its own over the flight, with a prior that knows nothing of the pack. So it does not
+depend on what the ledger holds, on the order of the logs, or on the number of cores.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import size_from_rows
 from uavbatt.estimator import Estimator
-from uavbatt.packs.evidence import told
+from uavbatt.packs.evidence import evidence_of_flight
 from uavbatt.packs.ledger import Ledger, prior
-from uavbatt.packs.records import FlightRecord, Told
+from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, Sample
 from uavbatt.telemetry.drawn import drawn, loaded_A
 
-SILENT = ForecastSettings(forecast_period_s=1e6)  # forecasts are not asked for
+SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
-LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
+LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a short hop shows nothing of the pack
 LONGEST_STEP_S = 60.0
-LOOKS = 5  # at the belief under load; more of them tell no more
+LOOKS = 5  # times that the belief under load is read; more of them show no more
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
-    """Taught holds what a flight says for the ledger: a record, or the reason why there is none."""
+class FlightForLedger:
+    """FlightForLedger holds the record of a flight, or the reason why there is none."""
 
     record: FlightRecord | None
     why_not: str = ""
 
 
 def name_of(flight: Flight, stated: str = "") -> str:
-    """Return the name under which the flight's pack is known: as stated, else its serial; empty when nobody says."""
+    """Return the name of the flight's pack: the stated one, else its serial number; empty if there is neither."""
     return stated or flight.identity.battery_serial
 
 
-def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) -> PackHealth | None:
-    """Return what is known of the flight's pack by the flights before it; None for a pack without any."""
+def health_before(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) -> PackHealth | None:
+    """Return the health of the flight's pack by its earlier flights; None for a pack without any."""
     if not name:
         return None
     last = ledger.before(name, flight.identity.start_utc_s, key_of(flight.samples))
@@ -57,24 +57,26 @@ def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) ->
 
 
 def key_of(samples: Sequence[Sample]) -> str:
-    """Return the key of a log: a hash of its first rows, so that neither its name nor where it was cut matters."""
+    """Return the key of a log: a hash of its first rows. A renamed log, or one cut later, has the same key."""
     text = ";".join(f"{s.voltage_V:.3f},{s.current_A:.2f}" for s in samples[:KEY_ROWS])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def taught(battery: BatteryFile, options: PackOptions, flight: Flight, before: PackHealth | None = None) -> Taught:
-    """Return what a flight says of its pack by itself, or why it says nothing.
+def flight_for_ledger(
+    battery: BatteryFile, options: PackOptions, flight: Flight, before: PackHealth | None = None
+) -> FlightForLedger:
+    """Return the record of a flight for the ledger, or the reason why the flight shows nothing of its pack.
 
-    before : what the ledger holds of the pack; only the kind of its cells counts, of which one flight may not tell.
+    before : health of the pack in the ledger. Only the kind of its cells is used: one flight may not show it.
     """
     options = of_known_cells(options, before)
     rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     last_loaded = _last_loaded(rows)
     if last_loaded is None:
-        return Taught(None, "no current was measured under load")
+        return FlightForLedger(None, "no current was measured under load")
     facts = flight.facts_at(math.inf)
     if facts.sag_compensated:
-        return Taught(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
+        return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
     size = size_from_rows(battery, options, replace(flight, samples=tuple(rows)), facts)
     pack = sized(battery, size)
     estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
@@ -84,12 +86,12 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight, before: P
     end, last = _run(estimator, rows[last_loaded + 1 :])
     loaded = [belief for _, belief in looks if belief is not None]
     if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
-        return Taught(None, "no estimate could be made")
-    said = told(pack, loaded, last or loaded[-1], _mean_temp_C(rows[: last_loaded + 1]))
+        return FlightForLedger(None, "no estimate could be made")
+    said = evidence_of_flight(pack, loaded, last or loaded[-1], _mean_temp_C(rows[: last_loaded + 1]))
     estimates = [e for some, _ in looks for e in some] + end
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
-        return Taught(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
-    return Taught(_record(battery, size, pack, flight, rows, estimates, said))
+        return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
+    return FlightForLedger(_record(battery, size, pack, flight, rows, estimates, said))
 
 
 def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:
@@ -125,7 +127,7 @@ def _record(
     flight: Flight,
     rows: Sequence[Sample],
     estimates: Sequence[Estimate],
-    said: Told,
+    said: FlightEvidence,
 ) -> FlightRecord:
     temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
     weak_cell, weak_V = _weak_cell(rows)
@@ -155,7 +157,8 @@ def _record(
 
 
 def _weak_cell(rows: Sequence[Sample]) -> tuple[int, float]:
-    """The cell that lies lowest in the last third of the flight, from 1, and how far below the mean [V]."""
+    """Return the number of the lowest cell in the last third of the flight, from 1, and its distance below the mean
+    [V]."""
     late = [row.cell_voltages_V for row in rows[2 * len(rows) // 3 :] if len(row.cell_voltages_V) > 1]
     counts = {len(cells) for cells in late}
     if len(counts) != 1:

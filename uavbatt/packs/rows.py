@@ -1,4 +1,4 @@
-"""Values <-> rows of the ledger: columns by the names of the fields, NaN and infinity as NULL."""
+"""Conversion between records and rows of the ledger: columns have the fields' names; NaN and infinity are NULL."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
-from uavbatt.packs.records import FlightRecord, Known, Outlook, PackFinding, PackRow, Remembered, Told
+from uavbatt.packs.records import FlightEvidence, FlightRecord, LedgerFlight, Outlook, PackBelief, PackFinding, PackRow
 from uavbatt.records import NAN
 
 OUTLOOK = tuple(field.name for field in fields(Outlook))
@@ -23,7 +23,7 @@ UPPER = np.triu_indices(4)
 
 
 class DamagedRow(Exception):
-    """A row that no ledger wrote raises this: a value is missing, of another kind, or not finite where it must be."""
+    """DamagedRow is raised for a row whose value is missing, of a wrong type, or not finite where it must be."""
 
 
 @contextmanager
@@ -46,33 +46,33 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
 def flight_of(row: sqlite3.Row) -> FlightRecord:
     """Return a flight as it was flown. Raises DamagedRow."""
     with reading(row):
-        told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
-        there = set(row.keys())  # a ledger of an older version that is only read lacks the younger columns
+        told = FlightEvidence(*(float(row[f"told_{name}"]) for name in FlightEvidence._fields))
+        there = set(row.keys())  # an older ledger that is only read lacks the newer columns
         values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name in there}
         unknown = {f.name: NAN for f in fields(FlightRecord) if f.default is not None and values.get(f.name, 0) is None}
         return FlightRecord(**{**values, **unknown}, told=told)
 
 
-def remembered_row(found: Remembered) -> dict[str, Any]:
-    """Return the columns of what is believed after a flight."""
+def remembered_row(found: LedgerFlight) -> dict[str, Any]:
+    """Return the columns of the belief after a flight."""
     mean = dict(zip(KNOWN, (float(value) for value in found.known.mean), strict=True))
     upper = [float(f"{value:.6g}") for value in found.known.covariance[UPPER]]
     known = {**mean, "known_covariance": json.dumps(upper), "known_fullest_cell_V": found.fullest_cell_V}
     return {**known, "findings": findings_text(found.findings)}
 
 
-def remembered_of(row: sqlite3.Row) -> Remembered:
-    """Return a flight, with what is believed after it. Raises DamagedRow."""
+def remembered_of(row: sqlite3.Row) -> LedgerFlight:
+    """Return a flight with the belief after it. Raises DamagedRow."""
     with reading(row):
         covariance = np.zeros((4, 4))
         covariance[UPPER] = json.loads(row["known_covariance"])
         covariance = covariance + np.triu(covariance, 1).T
         mean = np.array([float(row[name]) for name in KNOWN])
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()):
-            raise ValueError("what is known of the pack is not a number with a spread")
+            raise ValueError("the belief about the pack is not finite, or has no positive variance")
         fullest_V = row["known_fullest_cell_V"] if "known_fullest_cell_V" in set(row.keys()) else None
-        known, findings = Known(mean, covariance), findings_of(row["findings"])
-        return Remembered(flight_of(row), known, findings, float(fullest_V or ORDINARY_FULL_V))
+        known, findings = PackBelief(mean, covariance), findings_of(row["findings"])
+        return LedgerFlight(flight_of(row), known, findings, float(fullest_V or ORDINARY_FULL_V))
 
 
 def pack_row(pack: PackRow) -> dict[str, Any]:

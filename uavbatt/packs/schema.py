@@ -1,11 +1,11 @@
-"""The ledger's tables, and how an older ledger becomes one of today.
+"""The ledger's tables, and the migrations from older versions.
 
-    packs      one row a pack: its size, and the outlook after its last flight, worked out already
-    flights    one row a flight: the log, what it drew, what it says of the pack by itself, what is believed after it
-    airborne   one row a flight that has not landed yet, and
-    rows       its telemetry: what a companion process would lose if it died before the landing
+    packs      one row a pack: its size, and its outlook after the last flight
+    flights    one row a flight: the log, the charge drawn, the evidence of the flight, the belief after it
+    airborne   one row a flight that has not landed yet
+    rows       the telemetry of such a flight, which a crash before the landing would lose
 
-PRAGMA user_version counts the steps in MIGRATIONS; a ledger of a later step is not touched.
+PRAGMA user_version counts the migrations done; a ledger of a newer version is not touched.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ MIGRATIONS = (FIRST, AIRBORNE, KIND_OF_CELLS)
 
 
 def version(connection: sqlite3.Connection) -> int:
-    """Return how many migrations the ledger has behind it; 0 for an empty file."""
+    """Return how many migrations were done on the ledger; 0 for an empty file."""
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 

@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 
 from uavbatt.packs.bounds import LATEST_UTC_S
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT
-from uavbatt.packs.records import Outlook, PackRow, Remembered
+from uavbatt.packs.records import LedgerFlight, Outlook, PackRow
 
-STEADY = 0.002  # a flight: slower ageing is a season's, and no reason to look
+STEADY = 0.002  # change per flight; slower ageing is no reason to look
 
 
 def retire_words(seen: Outlook) -> str:
@@ -46,8 +46,8 @@ def pack_lines(pack: PackRow) -> list[str]:
     return [line, *(f"{'':<16}  {finding.words}" for finding in pack.findings)]
 
 
-def flight_line(after: Remembered) -> str:
-    """Return one line about a flight: what it said by itself, and what is believed after it."""
+def flight_line(after: LedgerFlight) -> str:
+    """Return one line about a flight: its own evidence, and the belief after it."""
     flight, mean = after.flight, after.known.mean
     has_date = 0.0 < flight.start_utc_s <= LATEST_UTC_S
     when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if has_date else ""

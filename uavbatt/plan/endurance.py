@@ -1,7 +1,7 @@
 """Endurance before take-off: how long a rested pack of a battery file lasts under a load, over ambient temperature.
 
-The forecast is the one of the flight itself (`prediction.forecaster`): it starts from a belief that nobody has
-updated yet, so that its width is what the battery file states of its own spreads and what is not known of the load.
+It is the same forecast as in flight (`prediction.forecaster`), from a belief without any measurement. So its width
+comes from the spreads in the battery file and from the unknown load.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def make_plan(
     reserve_soc: float = 0.0,
     remembered: PackHealth | None = None,
 ) -> Plan:
-    """Return the whole plan for a load and its name, of a pack that was met before if `remembered` tells it.
+    """Return the plan for a load and its name; `remembered` : health of the pack from the ledger.
 
     Raises UsageError for a power that the pack cannot give.
     """
@@ -111,7 +111,7 @@ def make_plan(
 
 
 def _headline(battery: BatteryFile, found: Endurance) -> Endurance:
-    """The endurance, without numbers where the battery file knows nothing of this temperature."""
+    """Return the endurance, without numbers at a temperature that the battery file does not cover."""
     if not is_outside(battery, found.ambient_C):
         return found
     return Endurance(found.ambient_C, NAN, NAN, NAN, NAN, f"not known: {range_remark(battery, found.ambient_C)}")
@@ -151,7 +151,7 @@ def _why_no_flight(pack: Pack, start_soc: float, reserve_soc: float, ambient_C: 
 def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None) -> Belief:
     """Return the belief about a pack before take-off: its stated charge, the air temperature, the file's spreads.
 
-    For a pack that was met before, its remembered health takes the place of the spreads.
+    For a pack in the ledger, its health replaces the spreads.
     """
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))

@@ -44,7 +44,7 @@ FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """Planned holds a mission to be flown from home with these powers in this wind."""
+    """Planned holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
 
     mission: Mission
     home: Home
@@ -106,7 +106,7 @@ class RouteFit:
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """MissionPlan holds the pack, the mission, and what came of it at the planned temperature and at others."""
+    """MissionPlan holds the pack, the mission, and the result at the planned temperature and at others."""
 
     resolved: PackSize
     planned: Planned
@@ -127,7 +127,7 @@ def make_route_plan(
     reserve_soc: float = 0.0,
     remembered: PackHealth | None = None,
 ) -> MissionPlan:
-    """Return the whole plan of a mission, with a pack that was met before if `remembered` tells it.
+    """Return the plan of a mission; `remembered` : health of the pack from the ledger.
 
     Raises UsageError for a mission that is not understood or has no end.
     """
@@ -155,7 +155,7 @@ def _fit(
     belief: Belief,
     reserve_soc: float,
 ) -> tuple[RouteFit, Flying, Array]:
-    """The mission at one temperature, the draws that flew it, and when each of them ends [s]."""
+    """Return the mission at one temperature, the samples of its simulation, and when each of them ends [s]."""
     (ahead, way), ambient_C = flown, belief.ambient_C
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
     looked_s = min(ahead.touchdown_s, MOST_HOVERS * _longest_hover_s(pack, planned.powers))
@@ -193,7 +193,7 @@ def _shown(charge: Iterable[float], ended: float) -> tuple[float, ...]:
 
 
 def _longest_hover_s(pack: Pack, powers: Powers) -> float:
-    """How long a full pack would hover, rather too long."""
+    """Return how long a full pack would hover [s], an upper estimate."""
     return float(most_energy_Wh(pack.installation) * 3600.0 / powers.hover_W)
 
 
@@ -216,7 +216,7 @@ def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
 
 
 def _air_remark(ahead: Ahead) -> str:
-    """A warning of legs that ask more speed through the air than multirotors have; empty without one."""
+    """Return a warning of legs that need more airspeed than multirotors have; empty without such a leg."""
     fastest_ms = float(ahead.pieces.airspeed_ms.max())
     if fastest_ms <= FASTEST_USUAL_MS:
         return ""
@@ -224,7 +224,7 @@ def _air_remark(ahead: Ahead) -> str:
 
 
 def _home_remark(planned: Planned) -> str:
-    """A warning where the mission lands but nobody knows the way home from it; empty where it is known."""
+    """Return a warning if the mission lands and the way home from it is not known; else empty."""
     elsewhere = return_reason(planned.mission, planned.settings)
     return f"no turn-back: {elsewhere}" if elsewhere else ""
 

@@ -1,7 +1,7 @@
-"""Questions are what forecasts have to simulate: one at a time in flight, many side by side in a replay.
+"""Questions: the simulations that forecasts need, one at a time in flight, many side by side in a replay.
 
-Questions of a flight do not depend on each other's answers. A step of arithmetic on 2000 columns costs little more than
-one on 128, so that a replay that asks ahead is several times faster, and gives the same numbers.
+The questions of a flight do not depend on each other's answers. A step of arithmetic on 2000 columns costs little more
+than one on 128, so that a replay that works on many questions together is several times faster, with the same numbers.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 def _together(few: list[Question]) -> list[EndTimes]:
     """Simulate several questions in one batch [questions, draws].
 
-    A shorter one is padded with its last step, which does not count.
+    A shorter question is padded with its last step, which has no effect.
     """
     if len(few) == 1:  # in flight: arrays of one dimension less
         return [end_times(few[0])]

@@ -4,9 +4,9 @@ Two things lengthen a leg beyond its plan: a stretch of its time and the speedin
 
     t = s t_plan + e v        s ~ 1.03 +- 0.1, e ~ 0.32 +- 0.12 s per m/s, before a leg was flown
 
-and each leg that was flown says more of both (Bayesian linear regression, two numbers), apart for short legs, where the
-corners are most of it, and long ones. The power level is the power flown over that of the vehicle's `[powers]`: a
-payload that nobody declared shows there.
+and each flown leg improves both (Bayesian linear regression of two numbers), separately for short legs, of which the
+corners are the main part, and for long ones. The power level is the flown power over that of the vehicle's `[powers]`:
+it shows an undeclared payload.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ class Timing(NamedTuple):
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Return the means of s [-] and e [s per m/s], neither so small that time would run backwards."""
+        """Return the means of s [-] and e [s per m/s], bounded from below, so that no time becomes negative."""
         det = self.ss * self.ee - self.se**2
         stretch, speeding = (self.ee * self.s - self.se * self.e) / det, (self.ss * self.e - self.se * self.s) / det
         return min(max(stretch, 0.5), 2.0), min(max(speeding, -0.5), 2.0)
 
     def sd(self, planned_s: Array, speed_ms: Array) -> Array:
-        """Return the sd [s] that the doubt about s and e gives the time of legs of these planned times and speeds."""
+        """Return the sd of the time of legs of these planned times and speeds [s], by the uncertainty of s and e."""
         det = self.ss * self.ee - self.se**2
         variance = self.ee * planned_s**2 - 2.0 * self.se * planned_s * speed_ms + self.ss * speed_ms**2
         return np.asarray(np.sqrt(np.maximum(variance / det, 0.0)))
 
 
 class FlightLessons(NamedTuple):
-    """FlightLessons holds timing, power level and wind as this flight taught them; it outlives a restart."""
+    """FlightLessons holds timing, power level and wind as learned in this flight; it is kept over a restart."""
 
     short: Timing = Timing()
     long: Timing = Timing()
@@ -88,7 +88,7 @@ class FlightLessons(NamedTuple):
     def with_timing(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
         """Return the lessons after the legs `behind` took `flown_s` [s] together.
 
-        The planned waits do not count. Take-offs, unusual times, and short legs mixed with long ones teach nothing.
+        The planned waits do not count. Take-offs, unusual times, and short legs mixed with long ones are not used.
         """
         flown_s -= sum(leg.hold_s for leg in behind)
         planned_s, speeds_ms = sum(leg.moving_s for leg in behind), sum(leg.fastest_ms for leg in behind)
@@ -120,7 +120,7 @@ class FlightLessons(NamedTuple):
     def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
         """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power.
 
-        What was flown long ago counts less: a payload that is taken up is not the flight's from its beginning.
+        Older parts of the flight count less, because a payload may be taken up in flight.
         """
         kept = math.exp(-told_s / LEVEL_TAU_S)
         return self._replace(level_s=kept * self.level_s + told_s, level_sum_s=kept * self.level_sum_s + told_s * ratio)
@@ -143,7 +143,7 @@ class FlightLessons(NamedTuple):
     def level(self, powers: Powers) -> tuple[float, float]:
         """Return the ratio of the flight's power to that of `powers`, and its sd: the prior and what was flown so far.
 
-        Of an aircraft that nobody knows it is NaN until enough was flown.
+        For an unknown aircraft it is NaN until enough was flown.
         """
         if not self.level_s > (0.0 if powers.flights else LEAST_FLOWN_S):
             return (1.0, powers.level_sd) if powers.flights else (NAN, NAN)

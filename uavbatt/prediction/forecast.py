@@ -1,4 +1,4 @@
-"""A forecast as a value: the ends of its draws, their quantiles, and what is left of it while it counts down."""
+"""A forecast as a value: the ends of its samples, their quantiles, and its countdown."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ class Forecast(NamedTuple):
         )
 
     def steadied(self, fresh_s: Array, time_s: float) -> Array:
-        """Return fresh ends [s, sorted] blended, rank by rank, with these less their age: a person has to read them.
+        """Return fresh ends [s, sorted] blended, rank by rank, with these less their age, so that it is readable.
 
-        A change too large to be jitter is a change of load: it is shown at once.
+        A large change is a change of load, and is shown at once.
         """
         age_s = time_s - self.time_s
         aged_s = np.maximum(self.ends_s - age_s, 0.0)

@@ -1,7 +1,7 @@
-"""The load to come: what power the flight will ask until its end.
+"""The load to come: the power until the end of the flight.
 
-A load gives scenarios: power over time, each with a weight. What the scenarios hang on is `Now`: where the flight
-stands. `RecentLoad` is the memory that feeds it.
+A load gives scenarios: power over time, each with a weight. They depend on `Now`, the present point of the flight;
+`RecentLoad` is the memory from which `Now` is made.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LOWEST_POWER_W = 1.0  # of a load: a forecast divides by it
 
 
 class Scenarios(NamedTuple):
-    """They are the loads that may come: true pack power [W], [steps, scenarios], from now on, each with a weight.
+    """Scenarios holds the possible loads: true pack power [W], [steps, scenarios], from now on, each with a weight.
 
     `dt_s` [steps] are the lengths of the steps [s]. A step's power is that of the instant at which it begins, where its
     voltage is judged: the mean over `stretches_s` around it.
@@ -40,7 +40,7 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Now says where a flight stands: log time, time since take-off [s], charge, mean power so far [W], and place."""
+    """Now holds the present point of a flight: log time, time since take-off [s], charge, mean power [W], position."""
 
     time_s: float
     since_take_off_s: float
@@ -51,10 +51,10 @@ class Now(NamedTuple):
 
 
 class Load(Protocol):
-    """A load knows what power the flight will ask until its end."""
+    """Load is the interface of a load to come."""
 
     def typical_W(self, now: Now) -> float:
-        """Return a middling power [W], to size the simulation."""
+        """Return a typical power [W], from which the length of the simulation follows."""
         ...
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
@@ -93,7 +93,7 @@ def _middles(count: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ConstantLoad:
-    """The power stays the same until the end, log-normal around `power_W` [W] with relative sd `spread`."""
+    """ConstantLoad is a constant power until the end, log-normal around `power_W` [W] with relative sd `spread`."""
 
     power_W: float
     spread: float
@@ -109,7 +109,7 @@ class ConstantLoad:
 
 @dataclass(frozen=True, slots=True)
 class RecentMean:
-    """The flight goes on as in its last minutes."""
+    """RecentMean expects that the flight goes on as in its last minutes."""
 
     def typical_W(self, now: Now) -> float:
         """Return the mean power of about the last minute [W], at least 1 W."""
@@ -124,7 +124,7 @@ class RecentMean:
 def stretches_s(dt_s: Array) -> Array:
     """Return the times [steps + 1] between which the power is averaged [s]: one stretch around each instant judged.
 
-    A step is judged at its beginning. A mean over the step itself would have a climb felt half a step before it comes.
+    A step is judged at its beginning. A mean over the step itself would include a climb half a step before it begins.
 
     dt_s : lengths of the steps [steps], in seconds
     """

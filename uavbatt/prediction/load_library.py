@@ -1,14 +1,14 @@
 """The load to come, learned from how aircraft flew before.
 
-With a vehicle file: each past flight is joined where it stood as this one stands now (half by time since take-off,
-half by state of charge) and flown on, scaled half-way to this flight's own mean power, and all the way where it is
-farther from all of them than flights of one aircraft usually are. A past flight counts by how much this one has gone
-like it in its last ten minutes: for 30 real flights of aircraft that were held out, the time left is off by 44, 40, 32
-and 28 s, 360, 240, 120 and 60 s before the end, instead of 49, 44, 39 and 35 s. Where a past flight landed it goes on
-as another one did from that charge.
+With a vehicle file: each past flight is used from the point that corresponds to the present one (half by time since
+take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
+flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
+has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 44, 40,
+32 and 28 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
+landing a past flight goes on as another past flight did from that charge.
 
-Without one: two flights of three end in a stretch of higher power (the way home, wind, the landing), that begins
-anywhere in what is left; the power before it is that of this flight so far, flown again, and widely spread.
+Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
+begins anywhere in the rest; before it this flight is flown again, at its own power, with a wide spread.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ class LearnedLoad:
     powers: Powers = UNKNOWN  # for where a route says what is flown
 
     def typical_W(self, now: Now) -> float:
-        """Return the median of the flights' mean powers [W]; less for a flight that takes much less than they did."""
+        """Return the median of the flights' mean powers [W]; less for a flight that needs much less power."""
         return min(float(np.median(self.mean_W[:, -1])), MOST_TYPICAL * now.flight_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Return every flight of the library from where it stood as this one stands, at three levels of power.
+        """Return every flight of the library from the point that corresponds to the present, at three power levels.
 
-        Each weighs by its likeness to this flight.
+        Each is weighted by its similarity to this flight.
         """
         grid_s = GRID_S * np.arange(self.power_W.shape[1])
         ahead_s = dt_s * np.arange(steps)
@@ -123,8 +123,8 @@ def likeness(own_W: Array, past_W: Array) -> Array:
 def own_scales(ratio: Array, since_take_off_s: float) -> Array:
     """Return the factors on the powers of past flights [flights], by this flight's power over theirs so far [flights].
 
-    Half of what flights of one aircraft usually differ by is chance, and more of it in the first minutes. A flight that
-    is farther away from all of them has another payload, or wind, and keeps its own power.
+    Half of the usual difference between flights of one aircraft is chance, and more of it in the first minutes. A
+    flight that differs more from all of them has another payload, or wind, and keeps its own power.
     """
     early = 1.0 + MEAN_TAU_S / max(since_take_off_s, GRID_S)
     real_share = _real_share(float(np.median(np.log(ratio))), early * _usual_difference(ratio))
@@ -132,10 +132,10 @@ def own_scales(ratio: Array, since_take_off_s: float) -> Array:
 
 
 def late_scale(now: Now, shown: Array) -> float:
-    """Return the factor on the power to come where the last minute asks more than past flights did at this place.
+    """Return the factor on the power to come if the last minute needed more than past flights did at this point.
 
-    It is a payload taken up, or wind on the nose, which the mean of the whole flight would show late. A minute of less
-    is a descent or a landing, and tells nothing.
+    The cause is a payload taken up or a head wind, which the mean of the whole flight would show late. A minute of less
+    power is a descent or a landing, and changes nothing.
 
     shown : what a minute at this place took over the mean of its flight so far, [flights].
     """
@@ -178,7 +178,7 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
 def _stitched(
     time_s: Array, watts: Array, charge: Array, next_s: Array, next_W: Array, next_charge: Array
 ) -> tuple[Array, Array, Array]:
-    """The first flight, flown on as the next one did from the charge at which the first landed."""
+    """Return the first flight, continued by the next one from the charge at which the first landed."""
     later = next_charge < charge[-1]
     if later.sum() < 2 or next_s[-1] - next_s[later][0] < SHORTEST_REST_S:
         return time_s, watts, charge

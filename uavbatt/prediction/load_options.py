@@ -1,4 +1,4 @@
-"""The words that a caller says for the load to come, on the command line (`--load`) or in Python (`load=`)."""
+"""The words for the load to come, on the command line (`--load`) or in Python (`load=`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def stated_load(
     battery: BatteryFile | None = None,
     name: str = "--load ",
 ) -> Load:
-    """Return the load to come that a caller's word means for a flight.
+    """Return the load to come for the word that the user gives.
 
     text: `learned` (from the vehicle file, else that of an unknown aircraft), `recent`, `log` or a power [W].
     battery: its sensor effects correct the logged power of `log`.
@@ -47,7 +47,7 @@ def stated_load(
 
 
 def check_word(text: str, name: str = "--load ") -> None:
-    """Raise UsageError for a word that means no load, before any flight is read."""
+    """Raise UsageError for an unknown word, before any flight is read."""
     if text not in WORDS:
         _watts(text, name)
 

@@ -1,7 +1,7 @@
-"""Draws of a pack walked on in long steps under a power to come: the charge left, and how far above its cut-off it is.
+"""Simulation of samples of a pack in long steps under a given power: charge left, and distance to the cut-off.
 
-The same equations as in `time_to_end`, which judges every few seconds where the end is. Here the way is given and the
-charge at its end is asked, so that a pack that would have been at its cut-off on the way is walked on all the same.
+The equations are those of `time_to_end`, which looks for the end every few seconds. Here the duration is given and the
+charge at its end is wanted, so that a pack is simulated on even after it has reached its cut-off.
 """
 
 from __future__ import annotations

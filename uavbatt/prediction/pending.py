@@ -1,6 +1,6 @@
-"""Rows whose forecasts are still to be simulated: some are taken in, simulated side by side, and finished in turn.
+"""Rows whose forecasts are not simulated yet: several are taken in, simulated side by side, and finished in order.
 
-Taking a row in depends on no forecast, so that nothing is lost by waiting; in flight each row is finished at once.
+Taking in a row does not depend on a forecast, so that forecasts may wait; in flight each row is finished at once.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class Pending(NamedTuple):
         return found, remaining
 
     def _ends_unsaid(self, remaining: Remaining) -> bool:
-        """Return True if no time is said in flight, and the voltage alone says what an alarm would."""
+        """Return True if there is no forecast in flight, and the voltage alone is near enough to its cut-off for an
+        alarm."""
         is_unsaid = not math.isfinite(remaining.remaining_s) and self.sample.armed is not False
         return is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S
 
@@ -77,7 +78,7 @@ def _finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Es
 
 
 def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
-    """Return an estimate and a remaining time that say only why there is none."""
+    """Return an estimate and a remaining time that are refused with a reason."""
     row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
     estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
     return estimate, no_forecast(sample.time_s, reason)

@@ -79,7 +79,7 @@ class PowersFlown(NamedTuple):
         return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
 
     def _drawn(self) -> tuple[Array, Array]:
-        """The ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
+        """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
         drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
         return self.piece_s * np.arange(float(drawn_J.size)), drawn_J
 
@@ -98,5 +98,5 @@ class PowersFlown(NamedTuple):
 
 @cache
 def _begins(count: int) -> Array:
-    """Places 0..1 [count] from which the flight is flown again, in an order that has to do with nothing."""
+    """Return places 0..1 [count] in the flight from which it is flown again, in random order."""
     return np.random.default_rng(count).permutation((np.arange(count) + 0.5) / count)

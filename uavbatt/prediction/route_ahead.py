@@ -1,7 +1,7 @@
-"""The way still to be flown, as pieces of time with airspeed and climb: the rest of the route, or the way home.
+"""The way still to be flown, as pieces with time, airspeed and climb: the rest of the route, or the way home.
 
-A piece is a leg's movement or the wait at its end. The times are those of the plan, corrected by what the legs flown so
-far have told; the airspeed is that of the movement through the wind.
+A piece is the movement of a leg or the wait at its end. Its time is planned, corrected by the legs flown so far; its
+airspeed is that of the movement through the wind.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """Return the way that the autopilot will fly from here, or the reason why nobody knows it."""
+    """Return the way that the autopilot will fly from here, or the reason why it is not known."""
     if navigation.mode in RETURNS:
         return _return_now(progress, navigation, time_s)
     if navigation.mode is not Mode.MISSION:
@@ -102,7 +102,7 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
 
 
 def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """The rest of a return that is flown: one that ends in the air has no touchdown."""
+    """Return the rest of the present return to home; one that ends in the air has no touchdown."""
     home = home_now(progress, navigation, time_s)
     if isinstance(home, str) or not navigation.settings.return_final_m > 0.0:
         return home
@@ -116,7 +116,7 @@ def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:
-    """Return True if the aircraft flies straight towards home, or is there: what is left of its track is a line."""
+    """Return True if the aircraft flies straight towards home, or is there, so that the rest of its track is a line."""
     distance_m, position = math.hypot(here.north_m, here.east_m), navigation.position
     if distance_m < OVER_HOME_M or position is None:
         return True
@@ -126,9 +126,9 @@ def _heads_home(here: Point, navigation: Navigation) -> bool:
 
 
 def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
-    """The rest of a return that is being flown: its climb is behind it when it moves on or is over home.
+    """Return the rest of the present return: its climb is over when the aircraft moves towards home or is over home.
 
-    Over home it waits, nobody says since when, until it sinks.
+    Over home it waits until it descends; when this wait began is not known.
     """
     position, settings = navigation.position, navigation.settings
     is_over_home = math.hypot(here.north_m, here.east_m) < OVER_HOME_M
@@ -173,6 +173,6 @@ def _waiting(leg: Leg, waited_s: float) -> Leg:
 
 
 def _shortened(leg: Leg, here: Point) -> Leg:
-    """The leg from here on."""
+    """Return the leg from here on."""
     straight_m = math.dist(leg.begin[:2], leg.end[:2])
     return leg._replace(begin=here, run_m=math.dist(here[:2], leg.end[:2]) * max(leg.run_m / max(straight_m, 1.0), 1.0))

@@ -1,4 +1,4 @@
-"""Answers of a forecast beside the time left: the end of the route, the way home, the turn-back."""
+"""The part of a forecast about a route: the end of the route, the way home, the turn-back."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft
 
 
 class ToCome(NamedTuple):
-    """ToCome holds the load that is expected, by route where one is known, and what is known of route and way home."""
+    """ToCome holds the expected load, by the route if it is known, and what is known of route and way home."""
 
     load: Load
     name: str
@@ -50,7 +50,7 @@ class ToCome(NamedTuple):
 
 
 class RouteAsked(NamedTuple):
-    """RouteAsked holds what one forecast knows of route and way home before the ends of its draws are simulated."""
+    """RouteAsked holds the route and the way home of one forecast, before its samples are simulated."""
 
     load: str
     reason: str
@@ -60,7 +60,7 @@ class RouteAsked(NamedTuple):
 
 
 class WaysAsked(NamedTuple):
-    """WaysAsked holds when route and way home were last asked about [s], and what was known of them then."""
+    """WaysAsked holds the time at which route and way home were last worked out [s], and what was known then."""
 
     time_s: float = math.nan
     about: tuple[object, ...] = ()
@@ -72,12 +72,12 @@ class WaysAsked(NamedTuple):
 
 
 def powers_of(load: Load) -> Powers:
-    """Return the powers that belong to a load: its vehicle's, else those of an aircraft that nobody knows."""
+    """Return the powers of a load: its vehicle's, else those of an unknown aircraft."""
     return load.powers if isinstance(load, LearnedLoad | UnknownAircraft) else UNKNOWN
 
 
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
-    """Return the load to come: the route's where the route is known and nobody has stated another load."""
+    """Return the load to come: the route's, if the route is known and the user has not stated another load."""
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)

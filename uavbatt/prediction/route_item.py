@@ -1,6 +1,6 @@
-"""The legs of one mission item: a return, a landing and turns have several, and the autopilot names the item alone.
+"""The legs of one mission item: a return, a landing and turns have several, but the autopilot reports only the item.
 
-Which of them is flown is told by the place; of a circle, and where nobody says the place, by the clock.
+The position shows which leg is flown; on a circle, or without a position, the clock does.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
 
 @dataclass(frozen=True, slots=True)
 class RouteLoad:
-    """The aircraft flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
+    """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
 
     ahead: Ahead
     powers: Powers

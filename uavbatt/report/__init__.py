@@ -1,1 +1,1 @@
-"""PAGES: self-contained HTML with plots, of the values of the stages below."""
+"""PAGES: self-contained HTML pages with plots; they show the results of all packages below."""

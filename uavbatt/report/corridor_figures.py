@@ -29,7 +29,7 @@ DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departur
 def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
     """Return (runs of samples tested repeatedly, one-time runs) at the gated temperature.
 
-    as_read : True for the runs as they are judged, fast records read at whole minutes; False for raw ones
+    as_read : True for the runs as they are judged, with fast records read at whole minutes; False for raw records
     """
     runs = (page.found.readings.tests if as_read else page.found.dataset).at(page.found.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
@@ -37,7 +37,7 @@ def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], li
 
 
 def _study(page: ValidationPage, number: int) -> str:
-    """The figure of the study that a drawing redoes, when it is the study's own data."""
+    """Return the number of the study's figure in brackets, if the data are the study's own."""
     return f" (the study's Figure {number})" if page.is_study else ""
 
 
@@ -55,7 +55,7 @@ def _curve(axes: Axes, run: Run, quantity: str, style: tuple[str, str], name: st
 
 
 def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
-    """Every run at the page's temperature, one style a sample; one-time curves dotted in red."""
+    """Draw every run at the page's temperature, one style a sample; one-time curves are dotted in red."""
     many, single = repeated(page)
     seen: dict[str, tuple[str, str]] = {}
     for run in many:
@@ -88,7 +88,7 @@ def _shade(axes: Axes, at: Array, low: Array, high: Array) -> None:
 
 
 def _edges(axes: Axes, at: Array, mean: Array, corridor: Corridor, scale: float = 1.0) -> None:
-    """The tolerance and the simultaneous band by their outlines."""
+    """Draw the outlines of the tolerance band and of the simultaneous band."""
     bands = (
         ("95/95 tolerance", corridor.tolerance, (0, (1, 1.2))),
         ("all instants", corridor.simultaneous, "--"),
@@ -163,7 +163,7 @@ def _departure(
 
 
 def _frame(axes: Axes, found: Corridor, scale: float) -> None:
-    """Symmetric limits that hold the widest band."""
+    """Set symmetric limits of the axis that hold the widest band."""
     widest = [float(np.nanmax(b)) for b in (found.C, found.tolerance, found.simultaneous) if np.isfinite(b).any()]
     if widest and max(widest) > 0:
         reach = 1.08 * scale * max(widest)
@@ -172,7 +172,7 @@ def _frame(axes: Axes, found: Corridor, scale: float) -> None:
 
 
 def in_time(page: ValidationPage) -> Html:
-    """Draw the corridor of crossing times at fixed voltage: seconds are what a pilot has."""
+    """Draw the corridor of crossing times at fixed voltages, in seconds."""
     found = time_corridor(page.found.readings, page.found.ambient_C)
     title = "When a voltage is reached: the corridor in time"
     if found is None or not np.isfinite(found.C).any():
@@ -200,7 +200,7 @@ def in_time(page: ValidationPage) -> Html:
 
 
 def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
-    """Time [s] of the first fall through each level, NaN where there is none."""
+    """Return the time [s] of the first fall through each level; NaN if there is none."""
     return np.array([crossing_time(time_s, voltage_V, float(level)) for level in levels_V])
 
 
@@ -234,7 +234,7 @@ def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: 
 
 
 def _spread(values: Sequence[float], count: int) -> list[float]:
-    """At most `count` of the values, evenly over their range."""
+    """Return at most `count` of the values, evenly over their range."""
     ordered = sorted(values)
     wanted = np.linspace(ordered[0], ordered[-1], count)
     return sorted({ordered[int(np.argmin(np.abs(np.array(ordered) - w)))] for w in wanted})

@@ -1,4 +1,5 @@
-"""The diagnosis page: what is wrong, how sure, what else it could be, what to check; the error before and after."""
+"""The diagnosis page: the missing effect, its probability, its rivals, what to check, and the error before and
+after."""
 
 from __future__ import annotations
 
@@ -58,8 +59,8 @@ COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new: BatteryFile) -> str:
     """Return the whole page as HTML.
 
-    `found` is what the records say, `closed` the errors on held-out records before and after, `old` and `new` the
-    battery file before and after.
+    found : the diagnosis; closed : errors on held-out records before and after; old, new : the battery file before and
+    after
     """
     mood, answer = ANSWERS[found.verdict]
     several = len(found.classes) > 1
@@ -99,7 +100,7 @@ def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
 
 
 def _suspect(one: EffectClass, several: bool) -> Html:
-    """One class of effects that the records cannot tell apart; `several`: others have been found beside it."""
+    """Return the part on one class of effects; `several`: other classes have been found too."""
     rows = []
     for quantity, i in one.parameters.items():
         scale, unit = (100.0, "%") if quantity in SHARES else (1.0, unit_words(i.unit))
@@ -113,9 +114,9 @@ def _suspect(one: EffectClass, several: bool) -> Html:
 
 
 def suspect(members: Sequence[str], course: str, sure: str, told_by: str, *size: str) -> list[Html]:
-    """Say what a class of effects means, what it is confused with, how sure that is, and what to check.
+    """Return the part on a class of effects: its meaning, its rivals, its probability, and what to check.
 
-    course : how the first of its `members` came, if that is known; told_by : `records` or `flights`; size : sentences
+    course : how the first of its `members` developed, if known; told_by : `records` or `flights`; size : sentences
     """
     name, *others = members
     rivals = [paragraph(f"These {told_by} cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
@@ -130,7 +131,7 @@ def suspect(members: Sequence[str], course: str, sure: str, told_by: str, *size:
 
 
 def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
-    """Draw bars of chi-square saved in each part of the flights; below zero the data of a part speak against it."""
+    """Draw the chi-square saved in each part of the flights as bars; below zero a part contradicts the effect."""
     names, saved = [b.name for b in blocks], np.array([b.saved for b in blocks])
 
     def draw(axes: Axes) -> None:
@@ -148,7 +149,7 @@ def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
 
 
 def _decimals(half_width: float) -> int:
-    """Decimals that show half an interval with two digits: a gain of 0.991 between 0.988 and 0.995 is not 0.99."""
+    """Return the decimals that show half an interval with two digits: 0.991 between 0.988 and 0.995 is not 0.99."""
     return 0 if half_width <= 0.0 else int(np.clip(1 - np.floor(np.log10(half_width)), 0, 5))
 
 
@@ -198,7 +199,7 @@ def _residuals(found: Diagnosis) -> list[Html]:
 
 
 def _reach(records: Sequence[Residual], column: Callable[[Residual], Array], scale: float) -> float:
-    """Half the height of a panel that holds nearly all residuals, in the panel's unit."""
+    """Return half the height of a panel that holds nearly all residuals, in the panel's unit."""
     known = [column(r) for r in records]
     largest = [float(np.nanpercentile(np.abs(y), 97)) if np.isfinite(y).any() else 0.0 for y in known]
     return scale * max(largest) * 1.2
@@ -212,7 +213,7 @@ def _panel(
     limit: float,
     floor: float | None = None,
 ) -> Html:
-    """Residuals of the first six records over time; `limit` and `floor` in the unit of `shown` (factor, unit)."""
+    """Draw the residuals of the first six records; `limit` and `floor` are in the unit of `shown` (factor, unit)."""
     scale, unit = shown
 
     def draw(axes: Axes) -> None:

@@ -1,4 +1,4 @@
-"""The page of a fleet: how it stands in words, the packs over time, flights to look at, how good the forecasts were."""
+"""The page of a fleet: a summary, the packs over time, flights to look at, and the accuracy of the forecasts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOST_REASONS = 10
 def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str]] = ()) -> str:
     """Return the whole page as HTML.
 
-    `battery` names the file that all were flown with; `remarks` are names and values of the run.
+    battery : name of the battery file of the run; remarks : names and values of the run
     """
     ranked = _ranked(found.groups.values())
     flown = [
@@ -62,7 +62,7 @@ Ranked = tuple[Group, Change | None, Change | None]
 
 
 def _ranked(groups: Iterable[Group]) -> list[Ranked]:
-    """Groups with the change of their resistance and capacity; what worsened most and certainly comes first."""
+    """Return the groups with the changes of their resistance and capacity; the most certain and largest come first."""
     told = [(g, change(g, g.resistance), change(g, g.capacity)) for g in groups]
 
     def concern(one: Ranked) -> tuple[bool, float, int]:
@@ -106,7 +106,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
 
 
 def _health_words(ranked: Sequence[Ranked]) -> str:
-    """Say which packs have aged, how many certainly have not, and how many nobody can tell of."""
+    """Return in words which packs have aged, how many have not, and of how many this is not known."""
     judged = [(group.name, verdict(group, resistance, capacity)) for group, resistance, capacity in ranked]
     grown = [name for name, found in judged if found.kind == "grown"]
     steady, untold = (sum(found.kind == kind for _, found in judged) for kind in ("steady", "cannot tell"))

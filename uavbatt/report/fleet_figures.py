@@ -54,7 +54,7 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
 
 
 def resistance_spark(group: Group) -> Html:
-    """Draw the resistance of one group over its flights as a line for a table; nothing where there is no history."""
+    """Draw the resistance of one group over its flights as a small line for a table; nothing without a history."""
     if group.flights < FEWEST_OF_A_LINE or not group.is_identified:
         return Html("")
     place, pairs = group.in_time(group.resistance)
@@ -89,7 +89,7 @@ def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
 
 
 def _smoothed(pairs: NDArray[np.float64]) -> NDArray[Any]:
-    """Weighted mean of a flight and its two neighbours on each side."""
+    """Return the weighted mean of each flight and its two neighbours on each side."""
     weight = 1.0 / np.maximum(pairs[:, 1], 1e-3) ** 2
     near = np.abs(np.subtract.outer(np.arange(len(pairs)), np.arange(len(pairs)))) <= 2
     smooth: NDArray[np.float64] = near @ (weight * pairs[:, 0]) / (near @ weight)

@@ -1,9 +1,9 @@
 """Flights of a fleet gathered in one pass: each pack or aircraft over its life, and the errors of the forecasts.
 
-A group is a battery with a serial number, else an aircraft by its flight controller's serial or by what the caller
-names (`--by`, `--aircraft`), always of one count of cells and one capacity. What only lies in one folder is shown
-together and never judged: a folder holds whatever somebody put into it. Only numbers are kept of a flight, so that a
-page about very many flights stays small in memory.
+A group is a battery with a serial number, else an aircraft by its flight controller's serial or by the options `--by`
+and `--aircraft`; all its flights have the same cells and capacity. Flights that only share a folder are shown together
+and never judged, because a folder may hold anything. Only numbers are kept of a flight, so that a page about very many
+flights needs little memory.
 """
 
 from __future__ import annotations
@@ -54,14 +54,15 @@ class Change:
 
 
 class AgeingVerdict(NamedTuple):
-    """AgeingVerdict judges one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
+    """AgeingVerdict holds the verdict on one pack or aircraft, `grown`, `lost`, `steady` or `cannot tell`, and its
+    words."""
 
     kind: str
     words: str
 
 
 def verdict(group: Group, resistance: Change | None, capacity: Change | None) -> AgeingVerdict:
-    """Judge the health of a group; a change that could not have been seen is not called steady."""
+    """Judge the health of a group; it is steady only if its flights could have shown a change."""
     if not group.is_identified:
         return AgeingVerdict("cannot tell", "one folder is not one aircraft: give --by or --aircraft")
     if resistance is None or capacity is None:
@@ -77,7 +78,7 @@ def verdict(group: Group, resistance: Change | None, capacity: Change | None) ->
 
 @dataclass(slots=True)
 class Group:
-    """Group collects the flights of one pack or aircraft, in the order of the table, while the rows go by."""
+    """Group collects the flights of one pack or aircraft in the order of the table."""
 
     name: str
     is_identified: bool = True  # by a serial or by the caller, not by a folder alone
@@ -127,7 +128,7 @@ def change(group: Group, values: Sequence[tuple[float, float]]) -> Change | None
 
 
 def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
-    """Weighted mean and its standard error, not smaller than the scatter of the flights says."""
+    """Return the weighted mean and its standard error, which is at least that of the scatter of the flights."""
     weight = 1.0 / np.maximum(pairs[:, 1], 1e-3) ** 2
     mean = float(np.average(pairs[:, 0], weights=weight))
     scatter = float(np.std(pairs[:, 0], ddof=1)) / math.sqrt(len(pairs))
@@ -136,7 +137,7 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """Overview holds everything that the fleet's page tells; `gathered` fills it."""
+    """Overview holds all that the page of a fleet shows; `gathered` fills it."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
@@ -183,7 +184,7 @@ def _most_severe(rows: Sequence[FlightRow], count: int) -> list[FlightRow]:
 
 
 def _whose(row: FlightRow) -> tuple[str, bool]:
-    """The name of the pack or aircraft of a flight, and whether it is known to be one."""
+    """Return the name of a flight's pack or aircraft, and True if it is identified (not only by a folder)."""
     size = f"{row.cells or '?'}S {row.capacity_Ah:g} Ah" if math.isfinite(row.capacity_Ah) else f"{row.cells or '?'}S"
     if row.battery_serial:
         return f"battery {row.battery_serial} ({size})", True
@@ -195,7 +196,7 @@ def _whose(row: FlightRow) -> tuple[str, bool]:
 
 
 def severity(row: FlightRow) -> float:
-    """Return how much a flight asks for a look; a battery that was emptied comes before a forecast that was off."""
+    """Return how urgently a flight needs a look; an emptied battery comes before an inaccurate forecast."""
     weights = {
         "landed nearly empty": 5.0,
         "resistance": 4.0,

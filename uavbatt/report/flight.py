@@ -1,4 +1,4 @@
-"""The flight page: the answer, what limits it, the pilot's chart; then the rest, and where every number came from."""
+"""The flight page: the answer, its limits, the pilot's chart; then details, and the source of every number."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def _refused_words(outcome: Outcome, found: Sequence[Stretch]) -> str:
 
 
 def _stretches(found: Sequence[Stretch]) -> Html:
-    """Tell what the hatching and the shading stand for."""
+    """Explain the hatching and the shading."""
     if not found:
         return paragraph("No number was refused.", css="quiet")
     body = [
@@ -222,7 +222,7 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
 
 
 def _warnings(steps: Sequence[ReplayedRow]) -> list[str]:
-    """Each warning once, with how many rows carried it and from when, in the order of their coming."""
+    """Return each warning once, with its first time and its number of rows, in order of time."""
     seen = warnings_of(steps)
     out = [
         text + (" (all rows)" if it.rows == len(steps) else f" (from {duration(it.since_s)}, {it.rows} rows)")

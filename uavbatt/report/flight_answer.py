@@ -11,7 +11,7 @@ SECONDS_BELOW_S, MINUTES_FROM_S, TENS_BELOW_S = 120.0, 300.0, 600.0
 
 
 def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: float) -> str:
-    """Say the time that was left at landing, or that the battery ended the flight.
+    """Return in words the time that was left at landing, or that the battery ended the flight.
 
     landing : the forecast at the last row in the air; None for a log without a flight
     end_of_flight_s : when the voltage under load fell below the cut-off [s since the log's start]; NaN if it never did
@@ -33,14 +33,14 @@ def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: floa
 
 
 def _why_not_known(landing: Landing) -> str:
-    """Say why no number stands at the landing; a current that was lost long before says more than the last row."""
+    """Return in words why there is no number at the landing: a current lost long before, else the last row's reason."""
     if math.isfinite(landing.current_lost_s):
         return f"the current was lost {duration(landing.current_lost_s)} after the log's start"
     return landing.reason or "no forecast near the landing"
 
 
 def rounded(seconds: float) -> str:
-    """Return a time to the precision that a forecast has: `95 s`, `6 min 30 s`, `16 min`."""
+    """Return a time in words, rounded to the precision of a forecast: `95 s`, `6 min 30 s`, `16 min`."""
     if seconds < SECONDS_BELOW_S:
         return f"{seconds:.0f} s"
     if seconds < TENS_BELOW_S:
@@ -49,7 +49,7 @@ def rounded(seconds: float) -> str:
 
 
 def between(lo_s: float, hi_s: float) -> str:
-    """Return an interval of times: `8 to 23 min`; in seconds where the lower end is short."""
+    """Return an interval of times in words: `8 to 23 min`; in seconds if the lower end is short."""
     if lo_s >= MINUTES_FROM_S:
         return f"{lo_s / 60.0:.0f} to {hi_s / 60.0:.0f} min"
     return f"{rounded(lo_s)} to {rounded(hi_s)}"

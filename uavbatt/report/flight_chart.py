@@ -1,4 +1,4 @@
-"""The pilot's chart: the time left with its 90 % band over the flight, and what happened when."""
+"""The pilot's chart: the time left with its 90 % band over the flight, and the events of the flight."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROOM_RIGHT = 38.0  # for the minutes on the right
 
 
 def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> Html:
-    """Draw the forecasts with their interval, the truth where the log shows it, and the events."""
+    """Draw the forecasts with their interval, the events, and the truth if the log shows it."""
     if not np.isfinite(rows.remaining_s).any():
         return figure(paragraph("The remaining time was refused throughout.", css="quiet"), TITLE)
     draw, top_min = _drawing(rows, axis, events)
@@ -81,7 +81,7 @@ def _spoken(events: Sequence[Event]) -> str:
 
 
 def _list(events: Sequence[Event]) -> Html:
-    """The events with their times, as text: what stands in the drawing is short."""
+    """Return the events with their times as text, because the marks in the chart are short."""
     said = [
         together((f"{clock(event.time_s)} ", strong(event.words) if event.tells_danger else event.words), "")
         for event in events
@@ -104,7 +104,7 @@ def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
 
 
 def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
-    """The top of the axis [min]: holds the truth, and forecast and interval up to 2.5 times as high."""
+    """Return the top of the axis [min]: it holds the truth, and forecasts and intervals up to 2.5 times as high."""
     known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
     core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, SETTLED_PERCENT))
     widest = float(np.percentile(np.append(finite, known), 98))

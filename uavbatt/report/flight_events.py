@@ -1,4 +1,4 @@
-"""The instants of a flight that a pilot looks for on its chart: take-off, modes, warnings, landing."""
+"""Events of a flight for the pilot's chart: take-off, flight modes, warnings, landing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_MODES = 12  # a flight that changes more often shows none
 
 
 class Event(NamedTuple):
-    """An event happened `time_s` [s] after the log's start; `tells_danger` marks those that a pilot must act on."""
+    """An Event happened `time_s` [s] after the log's start; `tells_danger` : the pilot must act."""
 
     time_s: float
     words: str
@@ -34,9 +34,9 @@ class Event(NamedTuple):
 
 
 def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V: float) -> list[Event]:
-    """Return what happened in the flight, in order of time.
+    """Return the events of the flight, in order of time.
 
-    low_V : the voltage of the vehicle's low-voltage warning [V]; NaN where nobody states one
+    low_V : voltage of the vehicle's low-voltage warning [V]; NaN if none is stated
     """
     found = [*_air(steps, outcome), *_modes(flight), *_warnings(steps, low_V)]
     if math.isfinite(outcome.end_of_flight_s):
@@ -45,7 +45,7 @@ def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V
 
 
 def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
-    """Take-off and landing, where the log holds the ground before and after them."""
+    """Return take-off and landing, if the log includes the ground before and after them."""
     on_ground = [s.remaining.reason == NOT_FLYING for s in steps]
     if True in on_ground and False in on_ground[on_ground.index(True) :]:
         k = on_ground.index(False, on_ground.index(True))
@@ -57,14 +57,14 @@ def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
 
 
 def _modes(flight: Flight) -> list[Event]:
-    """The changes of the way in which the autopilot flies."""
+    """Return the changes of the flight mode."""
     known = [n for n in flight.navigation if n.mode in MODES and math.isfinite(n.mode_since_s)]
     changed = [after for before, after in pairwise(known) if after.mode is not before.mode]
     return [Event(n.mode_since_s, MODES[n.mode]) for n in changed] if len(changed) <= MOST_MODES else []
 
 
 def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
-    """The first low voltage, the first alarm, and the first “turn back now”."""
+    """Return the first low voltage, the first alarm, and the first “turn back now”."""
     time_s, volts = (np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V"))
     if math.isfinite(low_V) and np.isfinite(volts).any():
         air = in_air(steps)

@@ -1,4 +1,4 @@
-"""The engineers' drawings of a flight: one panel a quantity over one time axis, refused stretches hatched in each."""
+"""Charts of a flight for engineers: one panel a quantity over the same time axis, with refused stretches hatched."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def figures(rows: FlightSeries, axis: TimeAxis, outcome: Outcome, resolved: PackSize) -> list[Html]:
-    """Draw every panel for which the log has data; a sentence stands in place of the others."""
+    """Draw every panel for which the log has data; a sentence replaces the others."""
     return [
         _soc(rows, axis, outcome),
         _voltage(rows, axis, resolved),

@@ -1,4 +1,4 @@
-"""Sentences under the first answer of a flight page: the charge, the check against the truth, the alarm, the doubts."""
+"""Sentences under the answer of a flight page: charge, accuracy of the forecasts, alarm, and doubts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on t
 
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
-    """Return the sentences that stand under the first answer, the weightiest first."""
+    """Return the sentences under the answer, the most important first."""
     return [
         *_alarm(steps),
         _charge_words(outcome),
@@ -38,13 +38,13 @@ def _charge_words(outcome: Outcome) -> str:
 
 
 def charge_interval(outcome: Outcome) -> tuple[float, float]:
-    """Return the 90 % interval of the charge at the log's end, within what a charge can be."""
+    """Return the 90 % interval of the charge at the log's end, within 0 to 1."""
     low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
     return low, high
 
 
 def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
-    """Say what ends a flight long before its charge is used up: who reads a full pack and a short time doubts both."""
+    """Return in words why a flight ends long before its charge is used up; else the reader would doubt both numbers."""
     landing = outcome.landing
     if landing is None or not math.isfinite(landing.remaining_s) or math.isfinite(outcome.end_of_flight_s):
         return []
@@ -62,7 +62,7 @@ def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[Repl
 
 
 def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
-    """The warnings that stood beside the forecast of which the answer speaks."""
+    """Return the warnings at the forecast that the answer uses."""
     if outcome.landing is None:
         return []
     said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
@@ -71,7 +71,7 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
 
 
 def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
-    """The alarm with the time since which it stood until the end."""
+    """Return the alarm at the end, with the time since which it held."""
     known = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
     since_s = math.nan
     for said in known:
@@ -84,7 +84,7 @@ def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
 
 
 def _checked(outcome: Outcome, resolved: PackSize) -> str:
-    """How good the forecasts were, where the log shows the end of flight."""
+    """Return in words how accurate the forecasts were, if the log shows the end of flight."""
     if outcome.reserve_soc > 0.0:
         return f"{sentence(against_a_reserve(outcome.reserve_soc))}."
     if outcome.checkpoints:
@@ -99,7 +99,7 @@ def _checked(outcome: Outcome, resolved: PackSize) -> str:
 
 
 def against_a_reserve(reserve_soc: float) -> str:
-    """Say why forecasts that end at a reserve are not judged by the end that a log shows."""
+    """Return in words why forecasts with a reserve are not compared with the end in the log."""
     return f"the forecasts end at the reserve of {reserve_soc:.0%}, the log at the cut-off: they are not compared"
 
 

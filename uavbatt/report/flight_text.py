@@ -1,4 +1,4 @@
-"""The result of a replay in text: lines for a person, and a summary for a program."""
+"""The result of a replay: lines of text for the user, and a summary for JSON."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ JUST_S, NEAR_S = 30.0, 10.0
 
 
 def _which(flight: Flight) -> str:
-    """Which battery it is, where the log has several."""
+    """Return which battery it is, if the log has several."""
     others = ", ".join(str(number) for number in flight.instances if number != flight.instance)
     return f", battery {flight.instance} (--instance reads {others})" if others else ""
 
 
 def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
-    """Return the summary of a replay for a person, as lines."""
+    """Return the result of a replay as lines of text."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
         f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
@@ -56,33 +56,33 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
 
 
 def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
-    """Return the answer for a pilot and the sentences that limit it, as on the flight's page; nothing else."""
+    """Return only the answer for the pilot and its limits, as on the flight page."""
     answer = f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}"
     return [answer, *(f"  {words}" for words in limits_of(found, resolved, run))]
 
 
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
-    """Return every warning of a replay once, with its time where it did not stand from the beginning to the end."""
+    """Return every warning of a replay once, with its time if it did not hold from beginning to end."""
     first_s, last_s = run[0].estimate.time_s, run[-1].estimate.time_s
     return [words + _when(stood.since_s - first_s, stood.until_s - first_s, last_s - first_s)
             for words, stood in warnings_of(run).items()]  # fmt: skip
 
 
 def _when(since_s: float, until_s: float, length_s: float) -> str:
-    """Say when a warning stood, in times since the log's first row."""
+    """Return in words when a warning held, in times since the log's first row."""
     if length_s - until_s > JUST_S:
         return f" ({duration(since_s)} to {duration(until_s)})"
     return f" (since {duration(since_s)})" if since_s > JUST_S else ""
 
 
 def _instant(c: Checkpoint) -> str:
-    """Say so where the log has no row at the instant that the label names."""
+    """Return a note if the log has no row at the instant of the label."""
     named_s = float(c.label.split()[0]) if c.label[0].isdigit() else c.before_end_s
     return "nearest forecast " if abs(named_s - c.before_end_s) > NEAR_S else ""
 
 
 def _charge(found: Outcome) -> str:
-    """The charge at the log's end, with its 90 % interval."""
+    """Return the charge at the log's end, with its 90 % interval."""
     if not math.isfinite(found.end_soc):
         return "charge not known"
     low, high = charge_interval(found)
@@ -90,7 +90,7 @@ def _charge(found: Outcome) -> str:
 
 
 def _given(refused_in_air: float) -> str:
-    """The share of the flight in which a forecast was given."""
+    """Return in words the share of the flight with a forecast."""
     if not math.isfinite(refused_in_air):
         return "not judged: less than a minute in the air"
     return "at all times in the air" if refused_in_air == 0.0 else f"{1.0 - refused_in_air:.1%} of the time in the air"
@@ -99,7 +99,7 @@ def _given(refused_in_air: float) -> str:
 def summary(
     flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow], content: BatteryFile
 ) -> dict[str, Any]:
-    """Return the summary of a replay for a program, as plain values."""
+    """Return the summary of a replay for JSON."""
     scores = [
         {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
         for c in found.checkpoints
@@ -123,7 +123,7 @@ def summary(
 
 
 def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
-    """How far the route was the load to come, and when "turn back now" was said; nulls without a route or home."""
+    """Return for JSON how much the route was used, and when "turn back now" came first; nulls without route or home."""
     said = route_forecasts(run)
     turn_s = said.turn_back_now_s
     return {
@@ -134,7 +134,7 @@ def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
 
 
 def _route_lines(known: dict[str, Any]) -> list[str]:
-    """The same for a person."""
+    """Return the same as lines of text."""
     share, turn_s = known["route_share"], known["turn_back_now_s"]
     if share is None:
         return []
@@ -146,7 +146,7 @@ def _route_lines(known: dict[str, Any]) -> list[str]:
 
 
 def _landing_summary(landing: Landing | None) -> dict[str, Any]:
-    """The answer for a program: the forecast at the last row in the air, nulls without one."""
+    """Return for JSON the forecast at the last row in the air; nulls without one."""
     keys = ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s")
     if landing is None:
         return {**dict.fromkeys(keys), "landing_s": None, "in_air_at_end": False, "reason": "no flight in this log"}

@@ -1,4 +1,4 @@
-"""The page of followed flights: what has begun, since which flight, each flight's own value as a picture."""
+"""The page of followed flights: which effect has begun, since which flight, and the value of each flight as a chart."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt import __version__
 from uavbatt.battery.effects import unit_words
-from uavbatt.diagnosis.follow import Follow, Followed
+from uavbatt.diagnosis.follow import Follow, FollowedEffect
 from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.diagnosis.words import QUANTITY
 from uavbatt.report import plot
@@ -45,18 +45,18 @@ def follow_report(found: Follow, dates: Sequence[str], battery: str) -> str:
     )
 
 
-def _title(one: Followed) -> str:
+def _title(one: FollowedEffect) -> str:
     return f"{QUANTITY.get(one.quantity, one.quantity)}, flight by flight"
 
 
-def _told(one: Followed, found: Follow, dates: Sequence[str]) -> Html:
-    """One effect with its course, its rivals, and what to check."""
+def _told(one: FollowedEffect, found: Follow, dates: Sequence[str]) -> Html:
+    """Return the part on one effect: its course, its rivals, and what to check."""
     course, size = course_words(one, found.flights, dates), f"{size_words(one)}."
     sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."
     return element("div", *suspect(one.found.members, course, sure, "flights", size))
 
 
-def course_figure(one: Followed) -> Html:
+def course_figure(one: FollowedEffect) -> Html:
     """Draw each flight's own value with its interval, the file's value, and the course that explains them."""
     flights = np.arange(1, len(one.values) + 1)
     value = np.array([v.value for v in one.values])

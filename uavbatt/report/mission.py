@@ -1,4 +1,5 @@
-"""The page of a planned mission: does it fit, where to turn back, the charge along the way, over temperature."""
+"""The page of a planned mission: does it fit, where to turn back, the charge along the way, the effect of
+temperature."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt import __version__
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
-from uavbatt.packs.records import PackRow, Remembered
+from uavbatt.packs.records import LedgerFlight, PackRow
 from uavbatt.packs.words import retire_words, trend_words
 from uavbatt.report import plot
 from uavbatt.report.page import Html, bullets, contents, element, figure, grid, number, page, paragraph, section, table
@@ -25,7 +25,7 @@ ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12
 OHM, CHARGE = 0, 1
 
 
-def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[PackRow, Sequence[Remembered]]]) -> str:
+def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]) -> str:
     """Return the whole page as HTML; `ledger` is its name, `drawn` are the packs with their flights."""
     in_order = sorted(packs, key=lambda pack: (pack.outlook.retire_flights, pack.outlook.capacity_Ah / pack.rated_Ah))
     return page(
@@ -76,7 +76,7 @@ def _table(packs: Sequence[PackRow]) -> Html:
 
 
 def _side_by_side(packs: Sequence[PackRow]) -> Html:
-    """Charge of all packs against their ratings, with intervals; the weakest on top."""
+    """Draw the capacity of all packs against their ratings, with intervals; the weakest is on top."""
     shown = list(packs[:MOST_BARS])[::-1]
     if not shown:
         return Html("")
@@ -95,8 +95,8 @@ def _side_by_side(packs: Sequence[PackRow]) -> Html:
     return figure(svg, "Charge, pack by pack", "Dot: most likely; line: 5 % to 95 %.")
 
 
-def _of_one(pack: PackRow, flights: Sequence[Remembered]) -> Html:
-    """The trend of one pack, with what its flights showed."""
+def _of_one(pack: PackRow, flights: Sequence[LedgerFlight]) -> Html:
+    """Return the part on one pack: its trend, and the findings of its flights."""
     if not flights:
         return Html("")
     seen = pack.outlook
@@ -111,8 +111,8 @@ def _of_one(pack: PackRow, flights: Sequence[Remembered]) -> Html:
     return section(pack.name, paragraph(words[0].upper() + words[1:]), bullets(found), figures)
 
 
-def _trend(flights: Sequence[Remembered], which: int, unit: float) -> Html:
-    """Charge or ohms from flight to flight: what each flight says by itself, and what is believed after it."""
+def _trend(flights: Sequence[LedgerFlight], which: int, unit: float) -> Html:
+    """Draw capacity or resistance from flight to flight: each flight's own evidence, and the belief after it."""
     place = np.arange(1, len(flights) + 1)
     told = np.exp([after.flight.told[which] for after in flights]) / unit
     known = np.exp([after.known.mean[which] for after in flights]) / unit

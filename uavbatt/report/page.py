@@ -1,8 +1,7 @@
 """A self-contained HTML page: opens offline, prints, follows the reader's light or dark setting, works without script.
 
-Whatever is not `Html` already is text and gets escaped, so that a file name or a column of a log cannot become
-markup. The page's own security policy forbids everything fetched and every script but the one that `page` is given, as
-a second wall.
+Everything that is not `Html` is text and gets escaped, so that a file name or a column of a log cannot become markup.
+As a second protection, the page's security policy forbids all fetching, and every script but the page's own.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
+from uavbatt import output
 from uavbatt.errors import printable
 from uavbatt.files import atomic_write
 
@@ -38,13 +38,13 @@ _NO_ID = re.compile(r"[^a-z0-9]+")
 
 
 class Html(str):
-    """Html is text that is markup already and goes into the page as it is."""
+    """Html is markup, which goes into the page unchanged."""
 
     __slots__ = ()
 
 
 def safe(value: str) -> Html:
-    """Return markup as it is, and everything else escaped."""
+    """Return markup unchanged, and everything else escaped."""
     return value if isinstance(value, Html) else Html(escape(printable(value), quote=True))
 
 
@@ -65,7 +65,7 @@ def paragraph(*content: str, css: str = "") -> Html:
 
 
 def strong(text: str) -> Html:
-    """Return text that carries the weight of its sentence."""
+    """Return emphasised text."""
     return element("strong", text)
 
 
@@ -76,13 +76,13 @@ def bullets(items: Iterable[str], css: str = "") -> Html:
 
 
 def badge(verdict: str, words: str = "") -> Html:
-    """Return a verdict with its sign and colour; colour never carries it alone."""
+    """Return a verdict with a sign and a colour, so that it can be read without the colour."""
     mood = MOODS.get(verdict, "plain")
     return element("span", f"{SIGNS[mood]} {words or verdict}", css=f"badge {mood}")
 
 
 def section(title: str, *content: str, css: str = "") -> Html:
-    """Return a part of the page under its own heading, which `contents` can point to."""
+    """Return a part of the page under its own heading, to which `contents` can link."""
     heading = Html(f'<h2 id="{_anchor(title)}">{safe(title)}</h2>')
     return element("section", heading, *content, css=css)
 
@@ -94,7 +94,7 @@ def contents(*titles: str) -> Html:
 
 
 def _anchor(title: str) -> str:
-    """A heading as the name of its place in the page; alike letters of two headings do not make one place."""
+    """Return the anchor of a heading; two headings never have the same anchor."""
     return (
         f"{_NO_ID.sub('-', title.lower()).strip('-')[:40]}-{hashlib.sha256(printable(title).encode()).hexdigest()[:4]}"
     )
@@ -112,18 +112,17 @@ def facts(pairs: Iterable[tuple[str, str]]) -> Html:
 
 
 def details(summary: str, *content: str) -> Html:
-    """Return content that the reader opens when it is wanted; on paper it is always open."""
+    """Return content that the reader can open; on paper it is always open."""
     return element("details", element("summary", summary), *content)
 
 
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", *, text_columns: Sequence[int] = (0,)
 ) -> Html:
-    """Return a table that scrolls by itself on a narrow screen, by keyboard too.
+    """Return a table that scrolls on a narrow screen, by keyboard too.
 
-    Columns that are not in `text_columns` hold numbers.
-
-    A table without a caption is announced by its first columns.
+    text_columns : the columns that hold text; all others hold numbers
+    A screen reader announces a table without a caption by its first columns.
     """
     body = [tuple(cells) for cells in rows]
     css = ["" if i in text_columns else "number" for i in range(len(head))]
@@ -146,7 +145,7 @@ def _cell(tag: str, content: str, css: str) -> Html:
 
 
 def scrolled(content: Html, label: str, css: str = "scroll") -> Html:
-    """Return content that scrolls sideways by itself, and that the keyboard reaches."""
+    """Return content that scrolls sideways, by keyboard too."""
     named = f'role="region" aria-label="{safe(label)}" tabindex="0"'
     return Html(f'<div class="{escape(css)}" {named}>{content}</div>')
 
@@ -158,7 +157,7 @@ def figure(svg: Html, title: str, caption: str = "") -> Html:
 
 
 def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -> str:
-    """Write `value` to `decimals` places with its unit; a dash when it is not known, never a zero in its place."""
+    """Write `value` to `decimals` places with its unit; a dash, never a zero, if it is unknown."""
     if not math.isfinite(value):
         return _unknown(value)
     text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "\u2212")
@@ -171,29 +170,22 @@ def percent(share: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write seconds in the words of a clock: `45 s`, `12 min 05 s`; a dash when not known."""
+    """Write seconds in words: `45 s`, `12 min 05 s`; a dash if unknown."""
     if not math.isfinite(seconds):
         return _unknown(seconds)
-    sign, minutes, rest = _minutes(seconds)
-    return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
+    minutes, rest = output.clock(seconds).split(":")
+    if minutes.endswith("0") and abs(seconds) < 59.5:
+        return f"{minutes[:-1]}{int(rest)} s"
+    return f"{minutes} min {rest} s"
 
 
 def clock(seconds: float) -> str:
-    """Write seconds as minutes and seconds, `12:05`; a dash when not known."""
-    if not math.isfinite(seconds):
-        return _unknown(seconds)
-    sign, minutes, rest = _minutes(seconds)
-    return f"{sign}{minutes}:{rest:02d}"
+    """Write seconds as minutes and seconds, `12:05`; a dash if unknown."""
+    return output.clock(seconds, _unknown(seconds))
 
 
 def _unknown(value: float) -> str:
     return "unbounded" if math.isinf(value) else DASH
-
-
-def _minutes(seconds: float) -> tuple[str, int, int]:
-    """Sign, minutes and the seconds that remain, of a finite time rounded to the second."""
-    minutes, rest = divmod(round(abs(seconds)), 60)
-    return "\u2212" if seconds < 0 and (minutes or rest) else "", minutes, rest
 
 
 def celsius(temp_C: float) -> str:
@@ -202,9 +194,9 @@ def celsius(temp_C: float) -> str:
 
 
 def page(title: str, kicker: str, *content: str, footer: str = "", script: str = "") -> str:
-    """Return the whole document: HTML that is well-formed XML too, so that a test can read it strictly.
+    """Return the whole document: HTML that is also well-formed XML, so that a test can parse it strictly.
 
-    script : markup of the page's own script, the only one that its policy lets run
+    script : markup of the page's own script, the only one that its policy allows
     """
     css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
     return "\n".join(

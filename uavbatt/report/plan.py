@@ -1,4 +1,4 @@
-"""The page of a plan: the endurance in words, over ambient temperature, and what it rests on."""
+"""The page of a plan: the endurance in words and over ambient temperature, and the sources of its numbers."""
 
 from __future__ import annotations
 
@@ -96,14 +96,14 @@ def _table(plan: Plan) -> Html:
 
 
 def _row(e: Endurance) -> tuple[Html, ...]:
-    """One temperature; grey where the file vouches for nothing."""
+    """Return the row of one temperature; grey if the battery file does not cover it."""
     times = (clock(t) for t in (e.median_s, e.lo_s, e.hi_s, e.to_low_s))
     css = "quiet" if e.remark else ""
     return tuple(element("span", text, css=css) for text in (celsius(e.ambient_C), *times, e.remark))
 
 
 def pack_facts(pack: PackSize) -> list[tuple[str, str]]:
-    """List battery file, cells, capacity and cut-off of a planned flight, each with who said it."""
+    """List battery file, cells, capacity and cut-off of a planned flight, each with its source."""
     return [
         ("battery", f"{pack.battery} ({pack.status})"),
         ("cells", f"{pack.cells} in series, from {pack.cells_from}"),

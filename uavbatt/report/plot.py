@@ -1,9 +1,9 @@
-"""Drawings by matplotlib as inline SVG: colours from the page's own palette, text as text, no ids that collide.
+"""Charts by matplotlib as inline SVG: colours of the page's palette, text as text, no ids that collide.
 
-A drawing uses the light palette's values as marks; `svg` puts the page's variables in their place, so that a figure
-follows the light or dark setting. Drawn 440 units wide with letters of 15.5 units: 12 px on the narrowest phone (345 px
-of page), 17 px where two stand side by side on a desktop. `responsive` draws a second time for the whole width of one.
-matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
+A chart is drawn in the colours of the light palette, which are then replaced by variables of the page, so that it
+follows the light or dark setting. It is 440 units wide with letters of 15.5 units: 12 px on the narrowest phone (345 px
+of page), 17 px if two stand side by side on a desktop. `responsive` draws it again for the whole width. matplotlib is
+imported for the first chart; figures are made without pyplot, so that none stays open.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ SETTINGS: dict[str, Any] = {
 
 
 def literal(text: str) -> str:
-    """Make text from a file fit for a drawing: no mathematics, no control characters, not endless."""
+    """Return text from a file in a form that is safe in a chart: no mathematics, no control characters, limited
+    length."""
     clean = printable(text).replace("\n", " ")
     return (clean if len(clean) <= 40 else clean[:39] + "…").replace("$", r"\$")
 
@@ -109,7 +110,7 @@ def panel(
 
 
 def _name_what_moves(axes: Axes) -> None:
-    """Mark what the page's script moves when it zooms: marks of the flight, words beside them, the axis of time."""
+    """Mark the parts that the page's script moves on zooming: data, labels beside them, and the time axis."""
     kinds = {"moves": [*axes.lines, *axes.collections, *axes.patches], "words": axes.texts, "ticks": [axes.xaxis]}
     for kind, artists in kinds.items():
         for count, artist in enumerate(artists):
@@ -127,7 +128,7 @@ def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes
 def _placed(
     axes: Axes, size: tuple[float, float], beside: tuple[float, float], legend_columns: int, above: float = 0.0
 ) -> float:
-    """Put the axes in a figure of `size` with room `beside` and `above` them; returns the room over them."""
+    """Put axes in a figure of `size` with room `beside` and `above` them; return the room above."""
     (width, height), (left, right) = size, beside
     names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
     columns = _columns(names, legend_columns, width - left)
@@ -208,7 +209,7 @@ _AN_ID = re.compile(r'\sid="([^"]*)"')
 
 
 def _own_ids(text: str, alt: str) -> str:
-    """Drop the ids that nothing points to; make the rest differ from figure to figure, alike as two may be drawn."""
+    """Remove the ids that nothing refers to, and make the others different in every figure."""
     mark = hashlib.sha256((alt + text).encode("utf-8", "replace")).hexdigest()[:8]
     used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
     text = _AN_ID.sub(lambda m: f' id="{mark}{m[1]}"' if m[1] in used else "", text)

@@ -1,4 +1,4 @@
-"""A small map of a route in metres around home: what is flown, what is to come, where to turn back."""
+"""A small map of a route in metres around home: the flown part, the part to come, and where to turn back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The route on the page of a flight: a map, what was known of the turn-back, and which load was used."""
+"""The route on the page of a flight: a map, the turn-back, and which load was used."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uavbatt.report.route_map import route_map
 
 
 def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
-    """Return the section on the route; an empty list where neither a route nor home is known."""
+    """Return the section on the route; an empty list if neither a route nor home is known."""
     said = route_forecasts(steps)
     if not said.rows:
         return []
@@ -28,7 +28,7 @@ def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
-    """Return where the aircraft was; None where nobody said it."""
+    """Return the position of the aircraft; None if it is unknown."""
     known = flight.navigation_at(time_s) if math.isfinite(time_s) else None
     if known is None or known.position is None or known.home is None:
         return None
@@ -36,7 +36,7 @@ def _place(time_s: float, flight: Flight) -> Point | None:
 
 
 def _planned(flight: Flight) -> list[Point]:
-    """The route of the last mission that was known."""
+    """Return the route of the last known mission."""
     last = flight.navigation_at(math.inf)
     if last.mission is None or last.home is None:
         return []
@@ -57,7 +57,7 @@ def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
 
 
 def _loads(said: RouteForecasts) -> str:
-    """Which load to come was used in how many rows, and why not the route's."""
+    """Return in words which load to come was used in how many rows, and why the route was not used."""
     loads = Counter(route.load for _, route in said.rows)
     used = ", ".join(f"{load} in {count} of {len(said.rows)} rows" for load, count in loads.most_common())
     why = f"; most often because {said.why_no_route}" if said.why_no_route else ""

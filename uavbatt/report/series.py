@@ -1,7 +1,7 @@
-"""The rows of a flight as columns, made small enough to draw without hiding anything.
+"""The rows of a flight as columns, thinned for charts without hiding anything.
 
-A long flight is thinned per stretch of time to the rows that hold each column's least and greatest value, so that no
-sag or spike gets lost; a band is thinned to its outer edges, never narrower than it was.
+Of each interval of time, the rows with the least and the greatest value of each column are kept, so that no sag or
+spike is lost. A band is thinned to its outer edges, so that it never becomes narrower.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ GAP = "no row in the log"
 
 @dataclass(frozen=True, slots=True)
 class FlightSeries:
-    """FlightSeries holds the columns of a flight; a refused number is NaN here, whatever its maker left in it.
+    """FlightSeries holds the columns of a flight; a refused number is NaN.
 
     The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
     `innovation_sd_V` is what it expected of it, recovered from its NIS: exact where only voltage was measured; with
@@ -52,7 +52,7 @@ class FlightSeries:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A stretch is rows in sequence that were refused or still converging, with the first and the last reason.
+    """A Stretch is a sequence of rows that were refused or still converging, with the first and the last reason.
 
     A gap between rows is a stretch too: `stale`, with no rows.
     """
@@ -70,21 +70,21 @@ class Stretch:
         return self.end_s - self.begin_s
 
 
-class Stood(NamedTuple):
-    """Stood tells when a warning stood: its first and its last row [s], and how many rows carried it."""
+class WarningSpan(NamedTuple):
+    """WarningSpan holds the first and the last time of a warning [s], and its number of rows."""
 
     since_s: float
     until_s: float
     rows: int
 
 
-def warnings_of(steps: Sequence[ReplayedRow]) -> dict[str, Stood]:
-    """Return every warning of a replay with when it stood, in the order of their coming."""
-    found: dict[str, Stood] = {}
+def warnings_of(steps: Sequence[ReplayedRow]) -> dict[str, WarningSpan]:
+    """Return every warning of a replay with its span, in order of time."""
+    found: dict[str, WarningSpan] = {}
     for estimate in (step.estimate for step in steps):
         for words in estimate.warnings:
-            before = found.get(words, Stood(estimate.time_s, estimate.time_s, 0))
-            found[words] = Stood(before.since_s, estimate.time_s, before.rows + 1)
+            before = found.get(words, WarningSpan(estimate.time_s, estimate.time_s, 0))
+            found[words] = WarningSpan(before.since_s, estimate.time_s, before.rows + 1)
     return found
 
 
@@ -180,7 +180,8 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
 
 
 def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
-    """List where a number was refused, was still converging or had no row; near neighbours join if there are many."""
+    """List the stretches that were refused, converging or without rows; near neighbours are joined if there are
+    many."""
     found: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))
     for i, step in enumerate(steps):
@@ -200,7 +201,7 @@ def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
 
 
 def _extend(found: list[Stretch], row: Stretch) -> None:
-    """Put one row's stretch after the others, or into the last when that goes on."""
+    """Add the stretch of one row, or extend the last stretch if it continues."""
     last = found[-1] if found else None
     if last and last.end_s == row.begin_s and _alike(last, row.status, row.reason):
         found[-1] = replace(last, end_s=row.end_s, last_reason=row.reason, rows=last.rows + 1)
@@ -209,7 +210,7 @@ def _extend(found: list[Stretch], row: Stretch) -> None:
 
 
 def _alike(stretch: Stretch, status: Status, reason: str) -> bool:
-    """The same status, and the same reason but for its numbers."""
+    """Return True if status and reason are the same, apart from numbers in the reason."""
     return stretch.status is status and _wordless(stretch.last_reason) == _wordless(reason)
 
 
@@ -218,7 +219,7 @@ def _wordless(reason: str) -> str:
 
 
 def _run_together(found: list[Stretch], gap_s: float) -> list[Stretch]:
-    """Neighbours of one kind with less than `gap_s` [s] between them as one stretch."""
+    """Return the stretches with neighbours of one kind joined if less than `gap_s` [s] lies between them."""
     out: list[Stretch] = []
     latest: dict[tuple[str, str], int] = {}
     for stretch in found:

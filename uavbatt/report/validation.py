@@ -1,4 +1,4 @@
-"""The validation page: the verdict in a sentence, then what it rests on, in the order in which one would doubt it."""
+"""The validation page: the verdict in a sentence, then its evidence, in the order in which a reader would doubt it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _at_home(v: ValidationPage) -> list[Claim]:
 
 
 def _answer(v: ValidationPage) -> Html:
-    """The verdict in one sentence that a pilot understands, what to read first, and the limits it was judged by."""
+    """Return the verdict in a sentence for pilots, the most important findings, and the limits."""
     serious = sum(f.severity == "serious" for f in v.found.findings)
     first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
     limits = "; ".join(f"{name} {value}" for name, value in _limits(v))
@@ -90,7 +90,7 @@ def _answer(v: ValidationPage) -> Html:
 
 
 def verdict_sentence(v: ValidationPage) -> str:
-    """Say in one sentence what the verdict means for a flight."""
+    """Return in one sentence what the verdict means for a flight."""
     where, within = f"at {celsius(v.found.ambient_C)}", " and ".join(value for _, value in _limits(v)[:2])
     deciding = [c for c in v.found.claims if c.gates and c.verdict == v.found.verdict]
     why = f" ({deciding[0].claim}: {deciding[0].reason})" if deciding else ""
@@ -164,7 +164,7 @@ def _ambient(v: ValidationPage) -> list[Html]:
 
 
 def _changes(v: ValidationPage) -> list[Html]:
-    """Show the worth of extending the model; nothing where it was not tried."""
+    """Show the gains of extending the model; nothing if it was not tried."""
     said = bullets(_conclusions(v))
     return [changes_table(v.changes), details("In words", said)] if v.changes else [said]
 
@@ -175,7 +175,7 @@ def _conclusions(v: ValidationPage) -> tuple[str, ...]:
 
 
 def _agreement(paper: PaperReplay) -> list[Html]:
-    """The study's method against its printed tables, and notes on what was compared."""
+    """Return the agreement of the study's method with its printed tables, and notes on the comparison."""
     claim, notes = paper.fisher, list(paper.notes)
     if claim is not None:
         verdict = "reproduced" if claim.reproducible else "cannot be reproduced"

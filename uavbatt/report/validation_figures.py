@@ -85,7 +85,7 @@ def over_ambient(claims: Sequence[Claim]) -> Html:
 
 
 def _single(claims: Sequence[Claim]) -> Html:
-    """Claims with one bias each, as bars of the allowed range: 1 is the limit."""
+    """Draw claims with one bias each as bars of the allowed range, where 1 is the limit."""
     height = 90.0 + 52.0 * len(claims)
 
     def draw(figure_: Figure) -> None:
@@ -129,7 +129,7 @@ def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:
 
 
 def _limits(pairs: Sequence[tuple[float, float]], both: bool) -> list[tuple[float, str]]:
-    """Critical values to draw: the 5 % and the 1 % one, on both sides for h."""
+    """Return the critical values to draw: at 5 % and 1 %, on both sides for h."""
     five, one = (float(np.nanmedian([p[i] for p in pairs])) if np.isfinite([p[i] for p in pairs]).any() else math.nan
                  for i in (0, 1))  # fmt: skip
     signs = (1.0, -1.0) if both else (1.0,)
@@ -139,7 +139,7 @@ def _limits(pairs: Sequence[tuple[float, float]], both: bool) -> list[tuple[floa
 def _stems(
     values: Array, levels: Sequence[Consistency], quantity: str, letter: str, limits: list[tuple[float, str]], said: str
 ) -> Html:
-    """Stems of `values[sample, instant]`, the instants of one sample side by side."""
+    """Draw `values[sample, instant]` as stems, the instants of one sample side by side."""
     samples, count = levels[0].samples, len(levels)
     looks = {"5 %": (plot.FAINT, "--"), "1 %": (plot.RED, "-")}
 

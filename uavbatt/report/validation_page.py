@@ -1,4 +1,4 @@
-"""A validation with the few values that only its page needs: the model's mean curve, consistency, changes in words."""
+"""A validation with the values that only its page needs: the model's mean curve, consistency, changes in words."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ErrorChange:
 
 @dataclass(frozen=True, slots=True)
 class ValidationPage:
-    """ValidationPage holds a validation as the page shows it: `found`, and what is worked out for the page alone.
+    """ValidationPage holds a validation, `found`, with the values that are worked out for the page only.
 
     `paper` is the study's method replayed, None where it cannot be applied.
     """
@@ -131,7 +131,7 @@ def mean_prediction(held: HeldOut) -> ModelCurve:
 
 
 def _known_mean(table: Array) -> Array:
-    """Mean over all but the last axis, of what is known."""
+    """Return the mean of the known values over all axes but the last."""
     flat = table.reshape(-1, table.shape[-1])
     known = np.isfinite(flat)
     total = np.where(known, flat, 0.0).sum(axis=0)

@@ -54,9 +54,9 @@ def shown_as(unit: str) -> tuple[float, str, int]:
 def nearest(claim: Claim) -> int:
     """Return the index of the instant that decides.
 
-    That is the one that uses the most of the limit, the half width of its interval counted in (the bias alone, where
-    there is no one limit). For a claim that failed it is the largest of the biases that are beyond the limit with
-    their whole interval, which the reason names.
+    It is the instant whose bias and half width use most of the limit (without a single limit, the one with the largest
+    bias). For a failed claim it is the largest of the biases whose whole interval is beyond the limit, which the reason
+    names.
     """
     size, half = np.abs(claim.bias), np.nan_to_num(claim.half_width)
     beyond = size - half > claim.limit
@@ -68,8 +68,8 @@ def nearest(claim: Claim) -> int:
 def plain_reason(claim: Claim) -> str:
     """Return why a claim has its verdict, in words for the crew.
 
-    The certificate keeps the words of the statistics ("the interval of the bias is inside"); what is shown to people
-    names the error, the unit and what was counted.
+    The certificate has the words of statistics ("the interval of the bias is inside"); the words for people name the
+    error and its unit.
     """
     return KNOWN.sub(_known, PASSED.sub(partial(_within, claim), claim.reason))
 
@@ -100,7 +100,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
-    """List the claims at other ambient temperatures by verdict, with the whole table for who wants it."""
+    """List the claims at other ambient temperatures by verdict, with the whole table to open."""
     by_kind: dict[tuple[str, str], list[float]] = {}
     for c in claims:
         by_kind.setdefault((c.claim, c.verdict), []).append(c.ambient_C)
@@ -120,7 +120,7 @@ def _span(ambients_C: Sequence[float]) -> str:
 
 
 def findings_list(findings: Sequence[Finding]) -> list[Html]:
-    """List the findings in their order, each with what it rests on; many notes are folded behind the others."""
+    """List the findings in their order, each with its evidence; many notes are folded behind the others."""
     if not findings:
         return [paragraph("Nothing in the tests speaks against them.")]
     notes = [f for f in findings if f.severity == "note"]
@@ -145,7 +145,7 @@ def _findings(findings: Sequence[Finding]) -> Html:
 
 
 def data_overview(dataset: DataSet) -> list[Html]:
-    """Show what was tested and read, and what of it is suspect."""
+    """Show the tests and their readings, and which readings are suspect."""
     body = []
     for sample in dict.fromkeys(r.sample for r in dataset.runs):
         runs = [r for r in dataset.runs if r.sample == sample]
@@ -216,7 +216,7 @@ def _percent(share: float) -> str:
 
 
 def budget_table(claim: Claim, budget: Budget) -> Html:
-    """Tabulate standard uncertainties per source and instant, and the half width that comes of them."""
+    """Tabulate the standard uncertainties per source and instant, and the resulting half width."""
     scale, unit, decimals = shown_as(budget.unit)
     d = decimals + 1
     in_time = claim.unit in ("V", "K")

@@ -1,10 +1,10 @@
-"""The end of a flight, from its telemetry: the rule itself, and so the truth that forecasts are scored against.
+"""The end of a flight, from its telemetry: the rule, which gives the truth for scores of forecasts.
 
     the first row under load at which the trailing 5 s mean of the pack's voltage is below the cut-off
     (rows slower than 5 s: the centred median of three rows)
 
-A forecast meets the same rule in steps of seconds, and without rows: its form there is `prediction.time_to_end`, whose
-twin is `compiled.forecast`.
+A forecast uses the same rule in steps of seconds, in `prediction.time_to_end` and its compiled twin
+`compiled.forecast`.
 """
 
 from __future__ import annotations

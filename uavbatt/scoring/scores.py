@@ -11,11 +11,11 @@ point, read as a distribution the way `metrics` says.
 - cumulative relative accuracy (CRA): mean over lines of 1 - |median - r*|/r*, lines with r* >= `CRA_FLOOR_S`.
 - coverage and width of the 90 % interval, CRPS; the true time left when the two-minute alarm is raised.
 
-**A refusal (NaN) is a miss in every score**: it is scored as if the forecast had said 0 s. So MAE and CRPS take
-the whole r*, bias takes -r*, the accuracy of that line in CRA is 0, the interval and alpha-lambda miss, the
-prognostic horizon starts after it, and it raises no alarm. Only the width is a mean over the lines that have
-one, since no number would be fair there: read it beside coverage and the count of refusals. A median
-without its interval misses coverage; an upper point of +inf covers and makes width and CRPS infinite.
+**A refusal (NaN) is a miss in every score**: it counts as a forecast of 0 s. So MAE and CRPS take the whole r*, bias
+takes -r*, the accuracy of that line in CRA is 0, the interval and alpha-lambda miss, the prognostic horizon starts
+after it, and it raises no alarm. Only the width is a mean over the lines that have an interval: read it together with
+coverage and the count of refusals. A median without an interval misses coverage; an upper point of +inf covers, and
+makes width and CRPS infinite.
 
 Reference: Saxena et al., Metrics for offline evaluation of prognostic performance, IJPHM 1 (2010).
 """
@@ -88,19 +88,19 @@ class FlightScore:
 
 
 @dataclass(frozen=True, slots=True)
-class Lines:
-    """Lines holds forecast lines as columns; `points` has median, 5 % and 95 % point as rows, NaN where refused."""
+class ForecastLines:
+    """ForecastLines holds forecasts as columns; `points` has rows of median, 5 % and 95 % point, NaN where refused."""
 
     time_s: FloatArray
     points: FloatArray
     interval: bool
 
-    def in_force(self, at_s: FloatArray) -> Lines:
+    def in_force(self, at_s: FloatArray) -> ForecastLines:
         """Return the forecasts that a display shows at the instants `at_s` [s]; NaN before the first line."""
         row = np.searchsorted(self.time_s, at_s + 1e-6, side="right") - 1
         age_s = np.where(row < 0, NAN, at_s - self.time_s[row])
         shown = np.where(age_s <= MAX_AGE_S, np.maximum(self.points[:, row] - age_s, 0.0), NAN)
-        return Lines(at_s, shown, self.interval)
+        return ForecastLines(at_s, shown, self.interval)
 
     def as_scored(self) -> FloatArray:
         """Return `points` with a refusal as a sure 0 s, and a median that has no interval as a sure median."""
@@ -144,7 +144,7 @@ def score_flight(
     """Score the forecast lines of one flight, NaN where refused, against its end `end_s`.
 
     start_s : t_P, default the first line; lo_s, hi_s : 5 and 95 % points, left out by a method without them
-    alarm_remaining_s : what is held against two minutes, default the median
+    alarm_remaining_s : the times that are compared with two minutes, default the median
     """
     interval = lo_s is not None and hi_s is not None
     points = [remaining_s, lo_s if interval else remaining_s, hi_s if interval else remaining_s]
@@ -155,7 +155,7 @@ def score_flight(
         raise ValueError(f"{name}: expected forecast lines in the order of time")
     if not math.isfinite(end_s) or table.shape[1] == 0:
         raise ValueError(f"{name}: expected a finite end and forecast lines before it, got end_s = {end_s}")
-    lines = Lines(table[0], table[1:4], interval)
+    lines = ForecastLines(table[0], table[1:4], interval)
     begin_s = float(table[0, 0]) if start_s is None else start_s
     truth_s = end_s - lines.time_s
     inside, window_s = lines.inside(truth_s), end_s - begin_s
@@ -188,7 +188,7 @@ def _mean(values: ArrayLike) -> float:
     return float(np.mean(known)) if known.size else NAN
 
 
-def _instants(lines: Lines, begin_s: float, end_s: float) -> dict[str, Instant]:
+def _instants(lines: ForecastLines, begin_s: float, end_s: float) -> dict[str, Instant]:
     """The forecasts in force at the customary instants that the lines reach."""
     wanted = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
     wanted |= {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}

@@ -1,1 +1,1 @@
-"""Flights that never flew, for tests and for people who integrate us."""
+"""Simulated flights, for tests and for those who integrate uavbatt."""

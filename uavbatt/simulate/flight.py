@@ -1,7 +1,7 @@
-"""Flights that never flew: telemetry of a battery file's own model under a gusty load, with sensors and their noise.
+"""Simulated flights: telemetry of a battery file's own model under a gusty load, with sensors and their noise.
 
-For demonstrations, for tests of readers and for trying an effect. A simulated flight tells nothing about the accuracy
-of the model that made it.
+They are for demonstrations, for tests of readers and for trying an effect. A simulated flight shows nothing about the
+accuracy of its model.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ def simulate_flight(
     power_W: Callable[[float], float] | None = None,
     lands_s: float = math.inf,
 ) -> list[Sample]:
-    """Return the rows of a flight, on the ground and in the air, until it lands or is below its cut-off, and a bit on.
+    """Return the rows of a flight from the ground until shortly after it lands or reaches its cut-off.
 
-    power_W : power asked [W] at a time [s], before gusts; without it the mission's mean power all the time
+    power_W : power [W] at a time [s], before gusts; by default the mean power at all times
     lands_s : when it lands [s], if ever
     """
     random = np.random.default_rng(mission.seed)
@@ -165,12 +165,16 @@ def write_log(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight 
     elif kind == ".bin":
         write_dataflash(path, samples, parameters, route=list(dataflash_records(flown)) if flown is not None else ())
     elif kind == ".csv":
-        with atomic_write(path) as stream:
-            stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
-            for s in samples:
-                stream.write(
-                    f"{s.time_s:.3f},{s.voltage_V:.3f},{s.current_A:.2f},{s.temp_C:.2f},{s.consumed_Ah:.4f},"
-                    f"{s.reported_soc:.3f},{int(bool(s.armed))}\n"
-                )
+        _write_csv(path, samples)
     else:
         raise UsageError(f"{path}: expected a name that ends in .tlog, .BIN or .csv")
+
+
+def _write_csv(path: Path, samples: list[Sample]) -> None:
+    with atomic_write(path) as stream:
+        stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
+        for s in samples:
+            stream.write(
+                f"{s.time_s:.3f},{s.voltage_V:.3f},{s.current_A:.2f},{s.temp_C:.2f},{s.consumed_Ah:.4f},"
+                f"{s.reported_soc:.3f},{int(bool(s.armed))}\n"
+            )

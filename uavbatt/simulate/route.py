@@ -1,7 +1,8 @@
-"""A flight along a mission that never flew: where the aircraft is, when, and what power it asks.
+"""A simulated flight along a mission: position and power over time.
 
-Legs are flown at their planned speeds over ground, without acceleration; the wind changes the airspeed and so the
-power, by the same law as the route's forecast has. After the last item it returns, as a pilot would who switches to it.
+Legs are flown at their planned speeds over ground, without acceleration. The wind changes the airspeed and so the
+power, by the same law as in the forecast of a route. After the last item the aircraft returns, as if the pilot switched
+to RTL.
 """
 
 from __future__ import annotations

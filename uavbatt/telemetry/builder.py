@@ -1,15 +1,15 @@
-"""The one place where rows of every log format are put in order of time and cleaned.
+"""Order and cleaning of the rows of every log format, in one place.
 
-A reader pushes what it decodes, in log order; nothing here looks ahead, so that a log cut at any
-instant gives the same rows up to it.
+A reader adds the rows that it decodes, in log order. No rule looks ahead, so that a log cut at any instant gives the
+same rows up to it.
 
-Time: seconds from the first timed record. A vehicle's clock that falls back by 1 s or more is a reboot. Nobody knows
-for how long it was off, or whether it has another pack since: time goes on after a gap that counts as a silence, and
-the estimate goes by the same rules as in flight (`estimation.pack_change`). A ground clock that is set anew (`.tlog`),
-or any clock that leaps a day ahead, is no silence: time goes on after 1 s. A monotonic clock, live or in a recording of
-`live`, does not leap: there a step of days is a silence of days (`longest_step_s`).
+Time is seconds from the first record with a time. If a vehicle's clock falls back by 1 s or more, the vehicle was
+rebooted. How long it was off and whether its pack was changed is unknown, so time goes on after a gap that counts as a
+silence, and the same rules hold as in flight (`estimation.pack_change`). If a ground clock is set again (`.tlog`), or
+any clock leaps a day ahead, there was no silence: time goes on after 1 s. A monotonic clock, live or in a recording of
+`live`, cannot leap: a step of days is a silence of days (`longest_step_s`).
 
-These are the rules for one row; `column_rules` has the same for the columns that the readers of big logs decode.
+These are the rules for one row. `column_rules` has the same rules for whole columns, for the readers of big logs.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
-CLOCK_GAP_S, REBOOT_GAP_S = 1.0, 10.0  # longer would count charge that an autopilot rebooted in the air did not draw
+CLOCK_GAP_S, REBOOT_GAP_S = 1.0, 10.0  # a longer gap would count charge that was not drawn, after a reboot in the air
 MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
 IMPOSSIBLE_CURRENTS = "impossible currents set to unknown"
-CARRYING = 0.4  # of the energy that the strongest battery gave: of two in parallel each gives about half
+CARRYING = 0.4  # share of the strongest battery's energy; two in parallel give about the same
 
 
 @dataclass(slots=True)
 class LogBuilder:
-    """LogBuilder collects what was read of one file so far; it is mutable, and never leaves the file's reader."""
+    """LogBuilder collects what was read of one file so far; it is mutable, and is used by the file's reader only."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
-    columns: dict[int, Columns] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
+    columns: dict[int, Columns] = field(default_factory=dict)  # readers of big logs fill these instead of `rows`
     parameters: list[tuple[float, str, float]] = field(default_factory=list)
     armed: bool | None = None
     notes: list[str] = field(default_factory=list)
@@ -50,9 +50,9 @@ class LogBuilder:
     packs: dict[int, PackIdentity] = field(default_factory=dict)  # by battery
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
-    longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
-    reboot_gap_s: float = REBOOT_GAP_S  # after a clock that fell back
-    forecast_period_s: float = NAN  # of the process whose recording it is
+    longest_step_s: float = LEAP_S  # a longer step ahead is a leap of the clock
+    reboot_gap_s: float = REBOOT_GAP_S  # gap after a clock that fell back
+    forecast_period_s: float = NAN  # of the process that made the recording
     _raw_s: float = NAN
     _offset_s: float = NAN
 
@@ -62,7 +62,7 @@ class LogBuilder:
         return self._offset_s
 
     def time_s(self, raw_s: float) -> float:
-        """Return the time since the first record [s] for the log's own clock [s], and move `now_s` ahead."""
+        """Return the time since the first record [s] of a reading of the log's own clock [s]; update `now_s`."""
         if not math.isfinite(raw_s):
             return self.now_s
         if math.isnan(self._raw_s):
@@ -80,9 +80,9 @@ class LogBuilder:
         return time_s
 
     def add(self, instance: int, sample: Sample) -> bool:
-        """Keep a row if it carries a possible voltage and does not lie before the last; return True if it is kept.
+        """Add a row, unless its voltage is impossible or it is earlier than the last row; return True if it was added.
 
-        A first row from just before the log's first record counts as simultaneous with it.
+        A first row from just before the log's first record gets the time of that record.
         """
         kept = self.rows.get(instance, [])
         if not 0 < sample.voltage_V <= MAX_VOLTAGE_V:
@@ -106,7 +106,7 @@ class LogBuilder:
         self.parameters.append((max(time_s, 0.0), name, finite_or_nan(value)))
 
     def all_notes(self) -> list[str]:
-        """Return the notes in the order of reading, then what was counted."""
+        """Return the notes in the order of reading, then the counts."""
         counted = [f"{n} {what}" for what, n in self.counts.items()]
         damaged = [f"{self.skipped_bytes} bytes not readable, skipped"] if self.skipped_bytes else []
         return self.notes + damaged + counted
@@ -118,7 +118,7 @@ def finite_or_nan(value: float) -> float:
 
 
 def default_instance(log: LogBuilder) -> int:
-    """Return the battery that carries the flight: the first to report a current of those that give most of the energy.
+    """Return the battery that carries the flight: of those that give most of the energy, the first to report a current.
 
     If none reports a current, it is the first with a voltage.
     """

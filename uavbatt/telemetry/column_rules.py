@@ -1,6 +1,6 @@
-"""The rules of `LogBuilder` for whole columns at once, as the readers of big logs decode them.
+"""The rules of `LogBuilder` for whole columns at once, for the readers of big logs.
 
-A test holds the two equal. Nothing here looks ahead either.
+A test keeps both the same. No rule looks ahead.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def times_s(log: LogBuilder, raw_s: Column) -> Column:
     highest_s = np.maximum.accumulate(raw_s)
     step_s = raw_s[1:] - highest_s[:-1]
     if not (np.all(np.isfinite(raw_s)) and np.all((step_s > -REBOOT_STEP_S) & (step_s <= log.longest_step_s))):
-        # a reboot, a leap, an unknown time: rare enough to go row by row
+        # a reboot, a leap or an unknown time is rare: work row by row
         return np.array([first_s, *(log.time_s(t) for t in raw_s[1:].tolist())])
     offset_s = log.offset_s
     log.time_s(float(highest_s[-1]))
@@ -28,7 +28,7 @@ def times_s(log: LogBuilder, raw_s: Column) -> Column:
 
 
 def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Columns) -> None:
-    """Add the rows in their order, dropping and correcting what `LogBuilder.add` drops and corrects."""
+    """Add the rows in their order; drop and correct the same rows as `LogBuilder.add`."""
     with np.errstate(invalid="ignore"):
         possible = (rows.voltage_V > 0) & (rows.voltage_V <= MAX_VOLTAGE_V)
     kept = possible.copy()
@@ -50,7 +50,7 @@ def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Columns) -> Non
 
 
 def _count(log: LogBuilder, *found: tuple[str, NDArray[np.bool_]]) -> None:
-    """Count what was dropped; what came first is told first."""
+    """Count the dropped rows of each kind, in the order of the first row of each."""
     present = [(int(np.argmax(mask)), what, int(np.count_nonzero(mask))) for what, mask in found if mask.any()]
     for _, what, number in sorted(present):
         log.counts[what] += number

@@ -61,7 +61,7 @@ class Columns:
 
 
 def _listed(column: Column) -> list[float]:
-    """Return the numbers, each NaN as the object `records.NAN`, so that rows with unknown values compare as equal."""
+    """Return the numbers as a list, every NaN as the object `records.NAN`, so that equal rows compare as equal."""
     unknown = np.isnan(column)
     if unknown.all():
         return [NAN] * len(column)
@@ -86,7 +86,7 @@ def rows_of(samples: Sequence[Sample]) -> Columns:
 def distinct(values: NDArray[Any]) -> list[int]:
     """Return the different whole numbers in the order of their first appearance.
 
-    np.unique is not used: it loads a fifth of numpy more.
+    np.unique is not used, because it imports a fifth of numpy more.
     """
     found: list[int] = []
     while len(values):

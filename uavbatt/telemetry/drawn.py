@@ -1,4 +1,4 @@
-"""Charge and energy that a flight drew, and which of its rows are under load: the one place that integrates."""
+"""Charge and energy that a flight drew, and the current above which it is under load: the one place that integrates."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.columns import Columns
 
 LONGEST_STEP_S = 30.0
-LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
+LOADED_SHARE = 1.0 / 3.0  # of the flight's high current
 
 
-class Drawn(NamedTuple):
-    """Drawn holds the charge [Ah] and energy [Wh] of a flight, by trapezoids, and the time of the steps with both [s].
+class DrawnCharge(NamedTuple):
+    """DrawnCharge holds the charge [Ah] and energy [Wh] that a flight drew, by the trapezium rule.
 
-    A step that is a gap does not count.
-
-    counter_Ah : what the autopilot's counter rose by in the same steps. NaN where no step tells.
+    time_s : sum of the steps with known voltage and current [s]; gaps do not count
+    counter_Ah : rise of the autopilot's own counter in the same steps [Ah]; NaN if unknown
     """
 
     charge_Ah: float = NAN
@@ -31,7 +30,7 @@ class Drawn(NamedTuple):
     counter_Ah: float = NAN
 
 
-def drawn(samples: Iterable[Sample], limit_s: float) -> Drawn:
+def drawn(samples: Iterable[Sample], limit_s: float) -> DrawnCharge:
     """Return the charge and energy that a flight drew; a step longer than `limit_s` [s] is a gap.
 
     A counter that falls was reset (reboot, new pack): that step is left out.
@@ -46,13 +45,13 @@ def drawn(samples: Iterable[Sample], limit_s: float) -> Drawn:
         energy_J.append(0.5 * (a.voltage_V * a.current_A + b.voltage_V * b.current_A) * step_s)
         counter_Ah.append(b.consumed_Ah - a.consumed_Ah)
         time_s += step_s if math.isfinite(energy_J[-1]) else 0.0
-    return Drawn(
+    return DrawnCharge(
         _sum(charge_As) / 3600.0, _sum(energy_J) / 3600.0, time_s, _sum(step for step in counter_Ah if step >= 0.0)
     )
 
 
 def _sum(values: Iterable[float]) -> float:
-    """Return the sum of what is known; NaN where nothing is."""
+    """Return the sum of the known values; NaN if none is known."""
     known = [value for value in values if math.isfinite(value)]
     return sum(known) if known else NAN
 
@@ -64,9 +63,10 @@ def given_J(rows: Columns) -> float:
 
 
 def loaded_A(current_A: NDArray[np.float64]) -> float:
-    """Return the current [A] above which a row is under load: a third of the upper one; infinite if none is known.
+    """Return the current [A] above which a row is under load; infinite if no current is known.
 
-    The upper one: of a tenth of the rows, or, where the flight is a small part of a log, of half of the charge.
+    It is a third of the high current: the larger of the 90 % point of all rows, and the current above which half of the
+    charge was drawn. The second counts if the flight is a small part of the log.
     """
     known_A = np.sort(current_A[np.isfinite(current_A)])
     if not known_A.size:

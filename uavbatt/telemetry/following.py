@@ -1,8 +1,9 @@
 """Choice of the vehicle that is followed, of all that are heard.
 
-The first that speaks of a battery twice is followed; before any does, the first that is heard. It keeps its place until
-it has been silent for VEHICLE_SILENT_S while another speaks of batteries. One that was armed then flies on: it is
-followed again as soon as it is heard armed, however well the other is heard, for that one is somebody else's.
+The first vehicle that sends two messages of a battery is followed; before that, the first vehicle that is heard. It is
+followed until it has been silent for VEHICLE_SILENT_S while another sends battery messages. A vehicle that was armed
+when it fell silent is probably still in the air: it is awaited, and followed again as soon as it is heard armed,
+because the other vehicle is probably not ours.
 """
 
 from __future__ import annotations
@@ -10,17 +11,17 @@ from __future__ import annotations
 from uavbatt.telemetry.vehicle import Vehicle
 
 VEHICLE_SILENT_S = 10.0
-AWAITED_S = 3600.0  # after that it has come down somewhere
+AWAITED_S = 3600.0  # after that it must have landed
 
 
-class Following:
-    """Following holds the vehicle that is followed, and one that fell silent in the air and is awaited."""
+class VehicleChoice:
+    """VehicleChoice holds the vehicle that is followed, and a vehicle that fell silent in the air and is awaited."""
 
     def __init__(self) -> None:
         self.vehicle: Vehicle | None = None
         self.awaited: Vehicle | None = None
-        self.changes = 0  # grows when another vehicle is followed
-        self.words = ""  # what the last change was, at most 50 characters; empty where nobody had spoken before it
+        self.changes = 0  # counts changes of the followed vehicle
+        self.words = ""  # the last change in words, at most 50 characters; empty for the first vehicle with a battery
 
     def look_at(self, vehicle: Vehicle, stamp_s: float) -> bool:
         """Take in that a vehicle is heard at `stamp_s` [s]; return True if it is followed from now on."""
@@ -32,7 +33,7 @@ class Following:
         if old is None:
             self._begin(vehicle, "")
         elif vehicle is self.awaited:
-            if not vehicle.is_beating:  # nobody knows yet whether it has landed
+            if not vehicle.is_beating:  # it is not known yet whether it has landed
                 return False
             self.awaited = None
             if not vehicle.armed:

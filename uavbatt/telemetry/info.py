@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from statistics import median
@@ -13,42 +13,19 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.telemetry.drawn import drawn
 from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
-from uavbatt.telemetry.trust import Findings, verdict
+from uavbatt.telemetry.trust import LogFigures, verdict
 
-Range = tuple[float, float]
 _OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """LogInfo describes a log in figures. Ranges are (lowest, highest), NaN where nothing was measured.
+    """LogInfo holds a log, its figures, and the judgement: `trust` is "yes", "with care" or "no"."""
 
-    gaps: (start [s], length [s]). drawn_Ah is the integral of the current, counter_Ah what the
-    autopilot counted over the same steps; neither includes gaps. trust is "yes", "with care" or "no".
-    """
-
-    source: str
-    kind: str
-    instance: int
-    instances: tuple[int, ...]
-    rows: int
-    duration_s: float
-    rate_Hz: float
-    gaps: tuple[tuple[float, float], ...]
-    missing: tuple[str, ...]
-    voltage_range_V: Range
-    current_range_A: Range
-    temp_range_C: Range
-    temperature: str
-    drawn_Ah: float
-    counter_Ah: float
-    facts: PackFacts
-    skipped_bytes: int
+    flight: Flight
+    figures: LogFigures
     trust: str
     reasons: tuple[str, ...]
-    notes: tuple[str, ...]
-    identity: Identity
-    route: str  # what the log tells of it, in words
 
 
 def describe(flight: Flight) -> LogInfo:
@@ -56,49 +33,16 @@ def describe(flight: Flight) -> LogInfo:
     samples = flight.samples
     step_s = median_step_s(samples)
     limit_s = gap_limit_s(step_s)
-    gaps = tuple((a.time_s, b.time_s - a.time_s) for a, b in _pairs(samples) if b.time_s - a.time_s > limit_s)
-    total = drawn(samples, limit_s)
-    drawn_Ah, counter_Ah = total.charge_Ah, total.counter_Ah
-    facts = flight.facts_at(math.inf)
-    temperature = temperature_verdict(samples)
-    trust, reasons = verdict(
-        Findings(
-            samples=samples,
-            step_s=step_s,
-            gaps=gaps,
-            drawn_Ah=drawn_Ah,
-            counter_Ah=counter_Ah,
-            facts=facts,
-            temperature=temperature,
-            sag_correlation=sag_correlation(samples),
-            skipped_bytes=flight.skipped_bytes,
-            notes=flight.notes,
-        )
+    figures = LogFigures(
+        flight=flight,
+        step_s=step_s,
+        gaps=tuple((a.time_s, b.time_s - a.time_s) for a, b in _pairs(samples) if b.time_s - a.time_s > limit_s),
+        total=drawn(samples, limit_s),
+        facts=flight.facts_at(math.inf),
+        temperature=temperature_verdict(samples),
+        sag_correlation=sag_correlation(samples),
     )
-    return LogInfo(
-        source=flight.source,
-        kind=flight.kind,
-        instance=flight.instance,
-        instances=flight.instances,
-        rows=len(samples),
-        duration_s=flight.duration_s,
-        rate_Hz=1 / step_s if step_s > 0 else NAN,
-        gaps=gaps,
-        missing=missing(samples),
-        voltage_range_V=_range(s.voltage_V for s in samples),
-        current_range_A=_range(s.current_A for s in samples),
-        temp_range_C=_range(s.temp_C for s in samples),
-        temperature=temperature,
-        drawn_Ah=drawn_Ah,
-        counter_Ah=counter_Ah,
-        facts=facts,
-        skipped_bytes=flight.skipped_bytes,
-        trust=trust,
-        reasons=reasons,
-        notes=flight.notes,
-        identity=flight.identity,
-        route=_route(flight.navigation),
-    )
+    return LogInfo(flight, figures, *verdict(figures))
 
 
 def median_step_s(samples: Sequence[Sample]) -> float:
@@ -123,23 +67,25 @@ def missing(samples: Sequence[Sample]) -> tuple[str, ...]:
 
 def lines(info: LogInfo) -> list[str]:
     """Return the description as lines of text."""
-    others = ", ".join(str(i) for i in info.instances)
+    flight, found, samples = info.flight, info.figures, info.flight.samples
+    others = ", ".join(str(i) for i in flight.instances)
+    rate_Hz = 1.0 / found.step_s if found.step_s > 0.0 else NAN
     text = [
-        f"log          {info.source} ({info.kind})",
-        f"vehicle      {_vehicle(info.identity)}",
-        f"battery      instance {info.instance} of {others}",
-        f"rows         {info.rows} in {info.duration_s:.0f} s, median rate {_number(info.rate_Hz, 'Hz')}",
-        f"voltage      {_span(info.voltage_range_V, 'V')}",
-        f"current      {_span(info.current_range_A, 'A')}",
-        f"temperature  {_temperature(info)}",
-        f"charge       {_number(info.drawn_Ah, 'Ah')} from the current,"
-        f" {_number(info.counter_Ah, 'Ah')} by the autopilot's counter",
-        f"pack         {_facts(info.facts)}",
-        f"route        {info.route}",
-        f"missing      {', '.join(info.missing) or 'nothing'}",
-        f"gaps         {_gaps(info.gaps)}",
+        f"log          {flight.source} ({flight.kind})",
+        f"vehicle      {_vehicle(flight.identity)}",
+        f"battery      instance {flight.instance} of {others}",
+        f"rows         {len(samples)} in {flight.duration_s:.0f} s, median rate {_number(rate_Hz, 'Hz')}",
+        f"voltage      {_span((s.voltage_V for s in samples), 'V')}",
+        f"current      {_span((s.current_A for s in samples), 'A')}",
+        f"temperature  {_temperature(samples, found.temperature)}",
+        f"charge       {_number(found.total.charge_Ah, 'Ah')} from the current,"
+        f" {_number(found.total.counter_Ah, 'Ah')} by the autopilot's counter",
+        f"pack         {_facts(found.facts)}",
+        f"route        {_route(flight.navigation)}",
+        f"missing      {', '.join(missing(samples)) or 'nothing'}",
+        f"gaps         {_gaps(found.gaps)}",
     ]
-    text += [f"note         {note}" for note in info.notes]
+    text += [f"note         {note}" for note in flight.notes]
     text.append(f"trust        {info.trust}")
     return text + [f"             - {reason}" for reason in info.reasons]
 
@@ -160,22 +106,18 @@ def _pairs(samples: Sequence[Sample]) -> Iterator[tuple[Sample, Sample]]:
     return itertools.pairwise(samples)
 
 
-def _range(values: Iterator[float]) -> Range:
-    finite = [v for v in values if math.isfinite(v)]
-    return (min(finite), max(finite)) if finite else (NAN, NAN)
-
-
 def _number(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}" if math.isfinite(value) else "unknown"
 
 
-def _span(span: Range, unit: str) -> str:
-    return f"{span[0]:.2f} .. {span[1]:.2f} {unit}" if math.isfinite(span[0]) else "not measured"
+def _span(values: Iterable[float], unit: str) -> str:
+    finite = [value for value in values if math.isfinite(value)]
+    return f"{min(finite):.2f} .. {max(finite):.2f} {unit}" if finite else "not measured"
 
 
-def _temperature(info: LogInfo) -> str:
-    span = _span(info.temp_range_C, "°C")
-    return span if info.temperature == "absent" else f"{span}, {info.temperature}"
+def _temperature(samples: Sequence[Sample], verdict: str) -> str:
+    span = _span((s.temp_C for s in samples), "°C")
+    return span if verdict == "absent" else f"{span}, {verdict}"
 
 
 def _route(navigation: Sequence[Navigation]) -> str:

@@ -1,13 +1,13 @@
-"""How late a vehicle's frames come, by its own clock: a modem or a tunnel may hold them back for a minute.
+"""Delay of a vehicle's frames, measured by its own clock: a modem or a tunnel may hold frames back for a minute.
 
-    offset = time of reception - time since its boot     late = least offset of LOOK_S - base
+    offset = time of reception - time since its boot     delay = least offset in LOOK_S - base
 
-The base is the least offset that two frames in a row have shown, as fresh as this link gets: one damaged frame with a
-good checksum would make all others late. It rises by DRIFT, since no two clocks run alike. A link that was late from
-its first frame on therefore looks fresh. A clock that stands tells nothing. One that falls back to less than the time
-for which nothing was heard, or to its first minute, has begun anew (a reboot, or 49.7 days are over), and so does the
-base; one that falls back to more is a later way of the same frames. A clock that is off by more than a link holds
-back is another's: a log that is played again.
+The base is the least offset that two frames in a row have shown, which is the fastest that this link gets (a single
+damaged frame with a good checksum would make all others late). It rises by DRIFT, because two clocks never run alike.
+So a link that was late from its first frame on looks fresh. A clock that stands still shows nothing. If the clock falls
+back to less than the time of silence before it, or to its first minute, it has begun anew (a reboot, or 49.7 days are
+over), and the base begins anew too. If it falls back to more, the same frames came by a slower way. A clock that is off
+by more than any link delays is that of another source, such as a replayed log.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ SYSTEM_TIME, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT = 2, 30, 32, 33
 BOOT_TIME_AT = {SYSTEM_TIME: 8, ATTITUDE: 0, LOCAL_POSITION_NED: 0, GLOBAL_POSITION_INT: 0}  # in the payload
 BOOT_TIME_BYTES = 4  # milliseconds
 DRIFT = 2e-4  # of a cheap crystal in the cold
-LOOK_S = 2.0  # one frame that comes late, or by another way, is no late link
-BEGUN_S = 1.0  # of a boot that was heard a little earlier than it can have been: the frames before it were late
+LOOK_S = 2.0  # the link is late only if all frames of this time are late
+BEGUN_S = 1.0  # tolerance of a boot that seems earlier than possible, because the frames before it were late
 JUST_BOOTED_S = 60.0
-LONGEST_S = 200.0  # that a link is late
-KNOWN_S = 30.0  # without a word of the clock nothing is known of it
+LONGEST_S = 200.0  # longest delay of a link
+KNOWN_S = 30.0  # the delay is unknown if the clock has not been heard for so long
 
 
 def boot_time_s(frame: bytes, message_id: int) -> float:
-    """Return the time since the vehicle's boot [s] that a frame tells, one of BOOT_TIME_AT; trimmed zeros are zeros."""
+    """Return the time since the vehicle's boot [s] in a frame of a message in BOOT_TIME_AT."""
     begin = framing.V2_HEADER if frame[0] == framing.V2 else framing.V1_OVERHEAD - 2
     first, end = begin + BOOT_TIME_AT[message_id], begin + frame[1]
     return int.from_bytes(frame[first : min(first + BOOT_TIME_BYTES, end)], "little") / 1000.0
 
 
-class Seen(NamedTuple):
-    """Seen holds the offset that a frame showed [s], and when it was received [s]."""
+class SeenOffset(NamedTuple):
+    """SeenOffset holds the offset that a frame showed [s], and when it was received [s]."""
 
     at_s: float
     offset_s: float
 
 
 class Lateness(NamedTuple):
-    """Lateness holds what was seen of a vehicle's clock; it is a value, replaced by `after`."""
+    """Lateness holds the offsets seen of a vehicle's clock; it is a value, replaced by `after`."""
 
     boot_s: float = math.nan  # of the last frame
-    base: Seen | None = None
-    recent: tuple[Seen, ...] = ()  # of LOOK_S, but for those that a later one has undercut
+    base: SeenOffset | None = None
+    recent: tuple[SeenOffset, ...] = ()  # of LOOK_S, but for those that a later one has undercut
 
     def after(self, at_s: float, boot_s: float) -> Lateness:
-        """Return the value after a frame that was received at `at_s` [s] and sent `boot_s` [s] after the boot."""
-        seen = Seen(at_s, at_s - boot_s)
+        """Return the new value after a frame that was received at `at_s` [s] and sent `boot_s` [s] after the boot."""
+        seen = SeenOffset(at_s, at_s - boot_s)
         if boot_s == self.boot_s:
             return self
         if not self.recent or self._is_another(seen, boot_s):
@@ -59,16 +59,16 @@ class Lateness(NamedTuple):
         shown_twice_s = max(seen.offset_s, self.recent[-1].offset_s)
         risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s) if self.base is not None else math.inf
         lower = (was for was in self.recent if at_s - was.at_s <= LOOK_S and was.offset_s < seen.offset_s)
-        return Lateness(boot_s, Seen(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
+        return Lateness(boot_s, SeenOffset(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
 
-    def _is_another(self, seen: Seen, boot_s: float) -> bool:
+    def _is_another(self, seen: SeenOffset, boot_s: float) -> bool:
         """Return True if the clock has begun anew, or is no longer the one that was heard."""
         last, base = self.recent[-1], self.base or self.recent[-1]
         has_begun = boot_s < self.boot_s and boot_s <= max(seen.at_s - last.at_s + BEGUN_S, JUST_BOOTED_S)
         return has_begun or seen.offset_s - base.offset_s > LONGEST_S
 
     def late_s(self, now_s: float) -> float:
-        """Return how late the frames come [s]; 0 where the clock has not been heard lately."""
+        """Return the delay of the frames [s]; 0 if the clock has not been heard lately."""
         if self.base is None or now_s - self.recent[-1].at_s > KNOWN_S:
             return 0.0
         return max(min(seen.offset_s for seen in self.recent) - self.base.offset_s, 0.0)

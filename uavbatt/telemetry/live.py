@@ -2,8 +2,8 @@
 
     frame (any system) -> its vehicle -> is its sender believed? -> `Vehicle`: rows, parameters, the armed bit
 
-Who is followed, `Following` chooses. With system or component given only such vehicles count. Each autopilot is read
-for itself, so that nothing of one (its parameters, rows that wait) ever mixes with another's.
+`VehicleChoice` chooses the vehicle that is followed; if a system or component is given, only such vehicles count. Each
+autopilot has a reader of its own, so that the parameters and waiting rows of two vehicles never mix.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import PackFacts
-from uavbatt.telemetry.following import Following
+from uavbatt.telemetry.following import VehicleChoice
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.lateness import BOOT_TIME_AT, boot_time_s
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 
-__all__ = ["LiveReader", "LiveRow", "Taken", "checksum"]
+__all__ = ["LiveReader", "LiveRow", "TakenFrame", "checksum"]
 
 MOST_VEHICLES = 16
 _TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
@@ -31,14 +31,14 @@ WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
 AUTOPILOT_COMPONENT = 1
 
 
-class Taken(NamedTuple):
-    """Taken holds the rows that a frame completes, and True if the frame is the followed vehicle's (to be recorded)."""
+class TakenFrame(NamedTuple):
+    """TakenFrame holds the rows that a frame completes; `is_ours` : it is of the followed vehicle and is recorded."""
 
     rows: list[LiveRow]
     is_ours: bool
 
 
-NOTHING = Taken([], False)
+NOTHING = TakenFrame([], False)
 
 
 def is_sound(frame: bytes, end: int, extra: int) -> bool:
@@ -50,7 +50,7 @@ def is_sound(frame: bytes, end: int, extra: int) -> bool:
 
 
 def checksum() -> Callable[[bytes], bool]:
-    """Return a function that is True for a whole frame whose checksum is good or whose message this dialect lacks."""
+    """Return a check of complete frames: True if the checksum is good, or if this dialect lacks the message."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     extras = {number: kind.crc_extra for number, kind in ardupilotmega.mavlink_map.items()}
@@ -65,7 +65,7 @@ def checksum() -> Callable[[bytes], bool]:
 
 
 class LiveReader:
-    """LiveReader takes frames in order of reception, follows one vehicle, and says whom it heard."""
+    """LiveReader takes frames in order of reception, and gives the rows of the vehicle that it follows."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class LiveReader:
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
         self._resumed: Mapping[str, float] = {}
         self.planned: PlannedFlight | None = None
-        self.following = Following()
+        self.following = VehicleChoice()
         self.rejected = 0
         self._now_s = -math.inf
 
@@ -92,7 +92,7 @@ class LiveReader:
 
     @property
     def awaited(self) -> Vehicle | None:
-        """Return the vehicle that fell silent in the air, and is followed again when it speaks."""
+        """Return the vehicle that fell silent in the air, and is followed again when it is heard armed."""
         return self.following.awaited
 
     @property
@@ -127,14 +127,14 @@ class LiveReader:
 
     @property
     def late_s(self) -> float:
-        """Return how late the followed vehicle's frames come, by its own clock [s]; 0 where that is not to be asked."""
+        """Return the delay of the followed vehicle's frames by its own clock [s]; 0 if the clock is not to be used."""
         if self.followed is None or not self._has_clock:
             return 0.0
         return self.followed.lateness.late_s(self._now_s)
 
     @property
     def navigation(self) -> Navigation:
-        """Return what is known of the vehicle's route and place; a mission that a file plans wins over what passes."""
+        """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
         known = self.followed.route.now if self.followed is not None else NOWHERE
         if self.planned is None:
             return known
@@ -143,17 +143,17 @@ class LiveReader:
 
     @property
     def battery_ids(self) -> set[int]:
-        """Return the ids of the batteries of which BATTERY_STATUS speaks."""
+        """Return the ids of the batteries in BATTERY_STATUS."""
         return self.followed.battery_ids if self.followed is not None else set()
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Return the vehicle's parameters that count, by name."""
+        """Return the vehicle's parameters, by name, without those in doubt."""
         return self.followed.parameters.known if self.followed is not None else self._resumed
 
     @property
     def doubted(self) -> Mapping[str, float]:
-        """Return the parameters that are said to have changed in flight, and do not count yet, by name."""
+        """Return parameters whose change in flight was heard only once and does not count yet, by name."""
         found = self.followed.parameters.doubted if self.followed is not None else {}
         return {name: doubt.value for name, doubt in found.items()}
 
@@ -163,18 +163,18 @@ class LiveReader:
         return self.followed.hardware if self.followed is not None else ""
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Return who the pack of a battery is, as far as anybody has said."""
+        """Return serial and cycles of the pack of a battery, as far as they are known."""
         return self.followed.pack(instance) if self.followed is not None else fields.PackIdentity(instance)
 
     @property
     def version(self) -> tuple[int, int]:
-        """Return two numbers: one grows when another vehicle is followed, the other when a parameter changes."""
+        """Return two counters: changes of the followed vehicle, and changes of its parameters."""
         return self.following.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
-        """Take over parameters that an earlier process heard of this vehicle, instead of any resumed before.
+        """Use parameters that an earlier process heard of this vehicle; they replace any that were resumed before.
 
-        Before a vehicle is followed they wait for it. What the vehicle itself says goes before.
+        If no vehicle is followed yet, they wait for it. Parameters heard from the vehicle itself have priority.
         """
         if self.followed is not None:
             self.followed.resume(parameters)
@@ -182,15 +182,15 @@ class LiveReader:
             self._resumed = dict(parameters)
 
     def facts(self, instance: int) -> PackFacts:
-        """Return the vehicle's words so far about one battery."""
+        """Return the facts that the vehicle has stated about one battery so far."""
         return self.followed.facts(instance) if self.followed is not None else PackFacts()
 
     def conflict(self, instance: int) -> str:
-        """Name what the senders of a battery disagree on; empty while they agree."""
+        """Return in words what the senders of a battery disagree on; empty while they agree."""
         return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
 
     def notes(self) -> list[str]:
-        """Return notes for the operator about who is heard and who is believed."""
+        """Return notes for the operator about the vehicles and senders that are heard."""
         found, vehicle = [], self.followed
         if len(self._heard) > 1 or (self._heard and vehicle is None):
             whom = f"following {vehicle.system}" if vehicle is not None else f"waiting for {self._wanted}"
@@ -207,10 +207,10 @@ class LiveReader:
             found.append(f"{change}: counts when it is heard again")
         return found
 
-    def take(self, frame: bytes, header: framing.Header, stamp_s: float, sender: object = None) -> Taken:
-        """Take in a frame, and return what it gives.
+    def take(self, frame: bytes, header: framing.Header, stamp_s: float, sender: object = None) -> TakenFrame:
+        """Process a frame, and return the rows that it completes.
 
-        stamp_s : time of reception [s], never falling; sender : who sent it, if that is known
+        stamp_s : time of reception [s], never falling; sender : address of the sender, if known
         """
         self._now_s = stamp_s
         if header.message_id in fields.IDENTITY_LENGTH:
@@ -240,10 +240,10 @@ class LiveReader:
         if battery is not None or self.followed is None:
             self._follow(vehicle, stamp_s)
         vehicle.heard_s = stamp_s
-        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
+        return TakenFrame(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
 
     def _meet(self, frame: bytes, header: framing.Header) -> None:
-        """Take in the identity of a pack, which any component of its vehicle may send."""
+        """Process the identity of a pack, which any component of the vehicle may send."""
         end = framing.V2_HEADER + frame[1]
         if frame[0] != framing.V2 or not is_sound(frame, end, fields.IDENTITY_EXTRA[header.message_id]):
             return
@@ -257,20 +257,20 @@ class LiveReader:
         parts = zip(("system", "component"), self._asked, strict=True)
         return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
-    def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> Taken:
-        """Take in a frame that makes no row, of another component of the vehicle or a station that writes a mission."""
+    def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> TakenFrame:
+        """Process a frame without a row: of another component of the vehicle, or of a station that writes a mission."""
         if self.followed is None:
             return NOTHING
         is_to_us = message is not None and header.message_id in OF_OTHERS
         if is_to_us and self.followed.take_other(header.message_id, message, frame):
-            return Taken([], True)
+            return TakenFrame([], True)
         if header.system != self.followed.system:
             return NOTHING
         self.followed.passes(stamp_s)
-        return Taken([], True)
+        return TakenFrame([], True)
 
     def _hear(self, header: framing.Header, message: Any) -> None:
-        """Get to know an autopilot: its heartbeat, or component 1 speaking of batteries, parameters or itself."""
+        """Add an autopilot when it is recognised: by its heartbeat, or by certain messages of component 1."""
         source = (header.system, header.component)
         if source in self._vehicles:
             return
@@ -288,7 +288,8 @@ class LiveReader:
         self._vehicles[source] = Vehicle(*source, self._own_component)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
-        """Follow this vehicle if it is its turn; one that is heard again knows its own parameters."""
+        """Follow this vehicle if `VehicleChoice` chooses it; an awaited one that is heard again keeps its
+        parameters."""
         old, is_again = self.followed, vehicle is self.awaited
         if not self.following.look_at(vehicle, stamp_s):
             return

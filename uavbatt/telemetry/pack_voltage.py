@@ -1,9 +1,9 @@
-"""Voltage of a pack whose cells are told one by one, when some of them are missing from the sum.
+"""Voltage of a pack whose cells are sent one by one, if some cells are missing from the sum.
 
-A sense wire that breaks in flight reads nothing, or nonsense, while the pack goes on as before; a sender with room for
-ten cells leaves out the rest. The sum is then too low by whole cells, which looks like a pack near its end. SYS_STATUS
-tells the voltage of the same pack from another sensor: it counts where it is fresh; else each missing cell is taken to
-be like the others.
+If a sense wire breaks in flight, its cell reads nothing or nonsense, while the pack is unchanged. A sender with fields
+for ten cells leaves out the others. The sum is then too low by whole cells, which looks like a pack near its end.
+SYS_STATUS holds the voltage of the same pack from another sensor: it is used if it is fresh. Otherwise each missing
+cell is assumed to be like the others.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ANOTHER_PACK_S = 5.0  # of silence on the ground
 
 
 class Cells(NamedTuple):
-    """Cells holds what was told so far of the cells of one battery."""
+    """Cells holds what is known of the cells of one battery so far."""
 
     most: int = 0  # cells that were told at once
     time_s: float = math.nan
@@ -35,7 +35,7 @@ class Cells(NamedTuple):
 
 
 class PackVoltages:
-    """PackVoltages corrects the pack voltages of one vehicle: `of` a row; `notes` says what is corrected now."""
+    """PackVoltages corrects the pack voltages of one vehicle; `notes` says what it corrects now."""
 
     def __init__(self) -> None:
         self._cells: dict[int, Cells] = {}
@@ -44,7 +44,7 @@ class PackVoltages:
 
     @property
     def notes(self) -> list[str]:
-        """Return for each battery what is wrong with its cells, and what is done about it."""
+        """Return a note for each battery with missing cells: what is wrong, and how it is corrected."""
         return [f"battery {number}: {words}" for number, words in sorted(self._notes.items())]
 
     def hear(self, voltage_V: float, time_s: float) -> None:
@@ -53,7 +53,7 @@ class PackVoltages:
             self._sys_status_V, self._sys_status_s = voltage_V, time_s
 
     def of(self, battery: BatteryFields, time_s: float, is_armed: bool | None, is_of_sys_status: bool) -> BatteryFields:
-        """Return the row of BATTERY_STATUS with the pack's voltage; without cells where those told are not all.
+        """Return the BATTERY_STATUS with the voltage of the whole pack; cells are removed if some are missing.
 
         is_of_sys_status : SYS_STATUS speaks of the same battery.
         """
@@ -84,15 +84,16 @@ class PackVoltages:
 
 
 def is_in_sys_status(number: int, is_px4: bool, numbers: Set[int]) -> bool:
-    """Return True if SYS_STATUS speaks of battery `number`, of those that BATTERY_STATUS names.
+    """Return True if SYS_STATUS is of battery `number`, one of those in BATTERY_STATUS.
 
-    ArduPilot tells its first battery there, PX4 the one that it thinks worst of.
+    ArduPilot sends its first battery in SYS_STATUS, PX4 the one in the worst state.
     """
     return number == 0 and not (is_px4 and numbers - {0})
 
 
 def _after(before: Cells, time_s: float, told: int, difference: float) -> Cells:
-    """Return what is known after a row of `told` cells, whose sum lacks `difference` cells of SYS_STATUS (or NaN)."""
+    """Return the state after a row with `told` cells; their sum lacks `difference` cells of SYS_STATUS (NaN:
+    unknown)."""
     most = max(before.most, told)
     if math.isnan(difference) or told < most:
         return before._replace(most=most, time_s=time_s)
@@ -102,10 +103,10 @@ def _after(before: Cells, time_s: float, told: int, difference: float) -> Cells:
 
 
 def _is_cut(now: Cells) -> bool:
-    """Return True if the sender had no room for all cells: they have been missing from the start."""
+    """Return True if the sender has no fields for all cells: they have been missing from the start."""
     return now.most == MOST_TOLD and not now.agreed and now.missing > 0
 
 
 def _missing_by_sum(now: Cells, has_nonsense: bool) -> int:
-    """Return the cells that are missing by the difference to SYS_STATUS: it has come up, or the sender had no room."""
+    """Return how many cells are missing by the difference to SYS_STATUS, if that is new or the sender lacks fields."""
     return now.missing if _is_cut(now) or (now.agreed and (has_nonsense or now.repeats >= REPEATS)) else 0

@@ -1,4 +1,4 @@
-"""Vehicle parameters -> what the vehicle says of its battery, as a timeline.
+"""Vehicle parameters -> the facts that the vehicle states about its battery, as a timeline.
 
 ArduPilot: BATT_ is instance 0, BATT2_ .. BATT9_ the next, then BATTA_ and so on. PX4: BAT1_ is
 instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used only without it.
@@ -22,18 +22,18 @@ BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
 
 
 class HeardOnce(NamedTuple):
-    """HeardOnce holds a change of a parameter that was heard once, and the sequence number of the frame with it."""
+    """HeardOnce holds a change of a parameter that was heard once, and the sequence number of its frame."""
 
     value: float
     sequence: int
 
 
 class HeardParameters:
-    """HeardParameters tells which statements of a vehicle about its parameters count, in the order of hearing.
+    """HeardParameters decides which statements of a vehicle about its parameters count, in the order of reception.
 
-    The first statement of a parameter counts at once, and on the ground every change. In the air one frame may be
-    forged or damaged: a change of a battery parameter counts when a second frame says the same (one that was doubled on
-    its way has the first one's sequence number); a frame that repeats the old value takes the doubt away.
+    The first statement of a parameter counts at once, and so does every change on the ground. In the air a single frame
+    may be forged or damaged: there a change of a battery parameter counts when a second frame repeats it. A copy of the
+    first frame has its sequence number and is no second one. A frame with the old value ends the doubt.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class HeardParameters:
         self._resumed: set[str] = set()  # of the known ones, those that only an earlier process heard
 
     def counts(self, name: str, value: float, sequence: int, is_armed: bool) -> bool:
-        """Take a statement of a parameter; return True if it counts from now on."""
+        """Process a statement of a parameter; return True if it counts from now on."""
         was = self.known.get(name)
         if was is not None and _is_same(was, value):
             self.doubted.pop(name, None)
@@ -61,7 +61,7 @@ class HeardParameters:
         return True
 
     def resume(self, earlier: Mapping[str, float]) -> None:
-        """Take over what was known before this process, instead of what was taken over before; what was heard stays."""
+        """Use parameters from an earlier process; they replace any that were resumed before, and no heard ones."""
         heard = {name: value for name, value in self.known.items() if name not in self._resumed}
         self.known, self._resumed = {**earlier, **heard}, earlier.keys() - heard.keys()
         for name in self.doubted.keys() - self.known.keys():  # nothing is left that it would change
@@ -104,7 +104,7 @@ def facts_timeline(
 
 
 def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[str]:
-    """Return a note if the capacity is the value that ArduPilot ships with, which says nothing of the pack."""
+    """Return a note if the capacity is ArduPilot's default value, which is not that of the pack."""
     name = ardupilot_prefix(instance) + "CAPACITY"
     last = {n: value for _, n, value in parameters}
     if last.get(name) != _UNTOUCHED_CAPACITY_MAH:
@@ -143,9 +143,9 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
 
 
 def _summed_mAh(known: Mapping[str, float], instance: int) -> float:
-    """Return the capacity of what a monitor sums that has none of its own [mAh]; NaN while the parts are not known.
+    """Return the capacity of a monitor that sums others and has none of its own [mAh]; NaN while a part is unknown.
 
-    The parts: those of BATTn_SUM_MASK, or where it is 0 every other monitor that is on and sums nothing.
+    The parts are the monitors in BATTn_SUM_MASK; if it is 0, every other monitor that is on and sums nothing.
     """
     said = known.get(ardupilot_prefix(instance) + "SUM_MASK", NAN)
     if not math.isfinite(said):

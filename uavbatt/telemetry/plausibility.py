@@ -1,7 +1,7 @@
 """Plausibility of temperature and current readings: pure functions, used by `info` and by the cleaning.
 
 A cell in a flying pack has a thermal time constant of minutes, so a reading that moves by more than 1 K/s is that of
-a chip, or noise. A reading whose last digit never moves comes from no working sensor. One that starts above 40 °C comes
+a chip, or noise. A reading that never changes does not come from a working sensor. One that starts above 40 °C comes
 from a sensor on a circuit board (42 to 54 °C were seen in a flight controller).
 """
 
@@ -59,8 +59,8 @@ def temperature_verdict(samples: Sequence[Sample]) -> str:
 def sag_correlation(samples: Sequence[Sample]) -> float:
     """Return the correlation of voltage steps with current steps; NaN with fewer than 20 steps above 1 A.
 
-    Near -1 where both were measured at one instant. Near 0: they are not simultaneous (smart packs), or
-    the autopilot has taken the sag out of the voltage.
+    Near -1 both were measured at the same instant. Near 0 they were not (smart packs), or the autopilot has removed the
+    sag from the voltage.
     """
     steps = [
         (b.voltage_V - a.voltage_V, b.current_A - a.current_A)

@@ -69,7 +69,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
 
 
 def read_columns(path: str | Path, instance: int | None = None) -> Columns:
-    """Read the rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
+    """Read the rows of one battery as numpy columns instead of objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
     _, log = _read(*content_of(Path(path)))

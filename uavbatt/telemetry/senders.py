@@ -1,11 +1,11 @@
-"""Choice of the sender that speaks for a vehicle when frames of its identity come from several addresses.
+"""Choice of the sender that is believed, if frames of one vehicle come from several addresses.
 
-MAVLink frames without a signature carry no proof of their sender: whoever is on the link can send them. Only one sender
-is believed at a time: the first, until it falls silent or leaves the batteries to another. The rows of the others are
-compared with its own, in the time in which both speak: one that goes on where another has ended (a link that was opened
-anew, from another port) is the same autopilot, and its battery is emptier by then. The same autopilot on two ways says
-nearly the same within some seconds; two sources whose readings of one battery lie apart, every row of one from every
-row of the other, are not one battery, and nobody can know which of them flies.
+MAVLink frames without a signature do not prove their sender: anybody on the link can send them. One sender is believed
+at a time: the first, until it falls silent or sends no more battery messages while another does. The rows of other
+senders are compared with its rows, but only in the time in which both send: a sender that begins where another has
+ended is the same autopilot on a new connection, and its battery is emptier by then. One autopilot on two ways gives
+nearly the same readings within some seconds. If every reading of one sender lies apart from every reading of the other,
+they are two batteries, and it cannot be known which of them flies.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class SenderRow(NamedTuple):
 
 
 class Senders:
-    """Senders chooses which of the senders of a vehicle's frames is believed, and compares their readings.
+    """Senders chooses which sender of a vehicle's frames is believed, and compares the readings of all.
 
-    A sender is an address, or whatever else tells one stream from another.
+    A sender is an address, or another object that identifies a stream.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Senders:
         return True
 
     def compare(self, sender: object, battery: BatteryFields, time_s: float) -> None:
-        """Take a battery's row from any sender, and note if the senders of this battery disagree."""
+        """Compare a battery's row from any sender with the others, and note if the senders disagree."""
         if battery.id not in self._rows and len(self._rows) >= MOST_BATTERIES:
             return
         by_sender = self._rows.setdefault(battery.id, {})
@@ -80,17 +80,17 @@ class Senders:
                 self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
 
     def conflict(self, battery_id: int, time_s: float) -> str:
-        """Name what the senders of a battery disagree on, and who they are; empty while they agree."""
+        """Return in words which senders of a battery disagree, and on what; empty while they agree."""
         at_s, words = self._conflicts.get(battery_id, (-math.inf, ""))
         return words if time_s - at_s <= HELD_S else ""
 
     def conflicts(self, time_s: float) -> list[tuple[int, str]]:
-        """Return every battery whose senders disagree, with what they disagree on."""
+        """Return the batteries whose senders disagree, with the quantity in words."""
         return [(number, words) for number in self._conflicts if (words := self.conflict(number, time_s))]
 
 
 def disagreement(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
-    """Return the quantity in which two sources cannot be one battery, in words; empty when they can."""
+    """Return in words the quantity that shows that two sources are not one battery; empty if they may be one."""
     a, b = list(one), list(other)
     for name, share, least in (
         ("voltage_V", APART_VOLTAGE, 0.0),

@@ -1,9 +1,9 @@
-"""Two autopilots of one system number behind one address are told apart by the running numbers of their frames.
+"""Separation of two autopilots with one system id behind one address, by the sequence numbers of their frames.
 
-Every sender numbers its frames 0..255, again and again. Frames of two senders that come by one address show two such
-counts, far from each other, that each go on by small steps, by turns. Lost frames make a count jump, a frame that
-comes late makes it go back: then a count begins anew, and the one that it left does not go on. A link that passes so
-few frames that no count goes on by small steps tells nothing.
+Every sender numbers its frames 0..255, again and again. If two senders share an address, there are two such sequences,
+far from each other, and both go on by small steps in turn. Lost frames make a sequence jump, and a late frame makes it
+go back: then one sequence begins anew, but the old one does not go on. On a link that loses most frames no sequence
+goes on by small steps, and nothing can be said.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ TURNS, WITHIN_S = 8, 10.0  # of the counts, until they are two
 
 
 class Stream(NamedTuple):
-    """The second count of frames that one sender's address shows."""
+    """Stream is the second sequence of frames from one address."""
 
     sender: object
 
 
-class Counts:
-    """The running numbers of one identity's frames from one address; `stream` tells whose a frame is."""
+class SequenceNumbers:
+    """SequenceNumbers follows the sequence numbers of a vehicle's frames from one address."""
 
     def __init__(self, sender: object) -> None:
         self._streams: tuple[object, object] = (sender, Stream(sender))
@@ -34,9 +34,9 @@ class Counts:
         self._turns: deque[float] = deque([-math.inf] * TURNS, maxlen=TURNS)
 
     def stream(self, number: int, time_s: float) -> object:
-        """Return the sender of a frame with this running number: its address, or that address's second `Stream`.
+        """Return the sender of a frame with this sequence number: its address, or the second `Stream` of that address.
 
-        time_s : of reception [s]. Until two counts have gone on by turns there is one.
+        time_s : of reception [s]. There is one sender until two sequences have gone on in turn.
         """
         other = 1 - self._now
         if self._steps(other, number) < min(self._steps(self._now, number), LOST + 1):

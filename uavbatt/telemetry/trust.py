@@ -18,7 +18,8 @@ from uavbatt.limits import (
     cells_from_voltage,
     ending_doubt,
 )
-from uavbatt.records import PackFacts, Sample
+from uavbatt.records import Flight, PackFacts
+from uavbatt.telemetry.drawn import DrawnCharge
 
 _YES, _CARE, _NO = 0, 1, 2
 _WORDS = {_YES: "yes", _CARE: "with care", _NO: "no"}
@@ -35,22 +36,23 @@ Finding = tuple[int, str]  # severity, reason
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
-    """Findings are what the judgement rests on; gaps are (start [s], length [s])."""
+class LogFigures:
+    """LogFigures holds the figures of a log by which it is judged.
 
-    samples: Sequence[Sample]
+    step_s : median time between rows [s], NaN with fewer than two; gaps : (start [s], length [s]); total : charge by
+    the current and by the autopilot's counter, without the gaps; facts : all that the vehicle states of its pack
+    """
+
+    flight: Flight
     step_s: float
     gaps: Sequence[tuple[float, float]]
-    drawn_Ah: float
-    counter_Ah: float
+    total: DrawnCharge
     facts: PackFacts
     temperature: str
     sag_correlation: float
-    skipped_bytes: int
-    notes: Sequence[str]
 
 
-def verdict(found: Findings) -> tuple[str, tuple[str, ...]]:
+def verdict(found: LogFigures) -> tuple[str, tuple[str, ...]]:
     """Return the judgement ("yes", "with care" or "no") and its reasons, the most severe first."""
     findings = [*_rows(found), *_current(found), *_voltage(found), *_surroundings(found)]
     findings.sort(key=lambda finding: -finding[0])
@@ -58,9 +60,9 @@ def verdict(found: Findings) -> tuple[str, tuple[str, ...]]:
     return _WORDS[gravest], tuple(reason for _, reason in findings)
 
 
-def _rows(found: Findings) -> Iterator[Finding]:
-    rows = len(found.samples)
-    span_s = found.samples[-1].time_s - found.samples[0].time_s if rows else 0.0
+def _rows(found: LogFigures) -> Iterator[Finding]:
+    rows = len(found.flight.samples)
+    span_s = found.flight.samples[-1].time_s - found.flight.samples[0].time_s if rows else 0.0
     if rows < _MIN_ROWS or span_s < _MIN_DURATION_S:
         yield _NO, f"too short: {rows} rows in {span_s:.0f} s"
     if found.step_s > _MAX_STEP_S:
@@ -70,18 +72,18 @@ def _rows(found: Findings) -> Iterator[Finding]:
     if long_gaps:
         start_s, length_s = max(long_gaps, key=lambda gap: gap[1])
         yield _CARE, f"{len(long_gaps)} gaps over 10 s, the longest {length_s:.0f} s at {start_s:.0f} s"
-    if found.skipped_bytes:
+    if found.flight.skipped_bytes:
         # the tail of a log is often cut inside its last record, which harms nothing
-        severity = _CARE if found.skipped_bytes > _CUT_RECORD_BYTES else _YES
-        yield severity, f"{found.skipped_bytes} bytes of the log could not be read"
-    for note in found.notes:
+        severity = _CARE if found.flight.skipped_bytes > _CUT_RECORD_BYTES else _YES
+        yield severity, f"{found.flight.skipped_bytes} bytes of the log could not be read"
+    for note in found.flight.notes:
         if note.startswith(_GRAVE_NOTES) or _DEFAULT_CAPACITY in note:
             yield _CARE, note
 
 
-def _current(found: Findings) -> Iterator[Finding]:
-    known = [s.current_A for s in found.samples if math.isfinite(s.current_A)]
-    absent = 1 - len(known) / max(len(found.samples), 1)
+def _current(found: LogFigures) -> Iterator[Finding]:
+    known = [s.current_A for s in found.flight.samples if math.isfinite(s.current_A)]
+    absent = 1 - len(known) / max(len(found.flight.samples), 1)
     if not known:
         yield _NO, "no current: the charge drawn cannot be counted"
         return
@@ -93,23 +95,18 @@ def _current(found: Findings) -> Iterator[Finding]:
         yield _NO, f"no current in {absent:.0%} of the rows"
     elif absent > 0.05:
         yield _CARE, f"no current in {absent:.0%} of the rows"
-    gap_Ah = abs(found.drawn_Ah - found.counter_Ah)
-    if gap_Ah > max(_MISMATCH_AH, _MISMATCH * found.counter_Ah):
-        yield _CARE, f"the current adds up to {found.drawn_Ah:.2f} Ah, the counter says {found.counter_Ah:.2f} Ah"
+    drawn_Ah, counter_Ah = found.total.charge_Ah, found.total.counter_Ah
+    if abs(drawn_Ah - counter_Ah) > max(_MISMATCH_AH, _MISMATCH * counter_Ah):
+        yield _CARE, f"the current adds up to {drawn_Ah:.2f} Ah, the counter says {counter_Ah:.2f} Ah"
 
 
-def _voltage(found: Findings) -> Iterator[Finding]:
+def _voltage(found: LogFigures) -> Iterator[Finding]:
     if found.facts.sag_compensated:
         yield _CARE, "the autopilot sends sag-compensated voltage (BATT_OPTIONS bit 6), not the measured one"
     elif found.sag_correlation > _LOOSE_SAG:
-        yield (
-            _CARE,
-            (
-                f"voltage hardly follows current (correlation {found.sag_correlation:.2f}):"
-                " not simultaneous, or sag-compensated"
-            ),
-        )
-    known_V = [s.voltage_V for s in found.samples if math.isfinite(s.voltage_V)]
+        correlation = f"correlation {found.sag_correlation:.2f}"
+        yield _CARE, f"voltage hardly follows current ({correlation}): not simultaneous, or sag-compensated"
+    known_V = [s.voltage_V for s in found.flight.samples if math.isfinite(s.voltage_V)]
     if known_V:
         yield from _statements(found.facts, known_V)
 
@@ -132,7 +129,7 @@ def _statements(facts: PackFacts, known_V: Sequence[float]) -> Iterator[Finding]
             yield _CARE, f"the vehicle states {doubt.words}"
 
 
-def _surroundings(found: Findings) -> Iterator[Finding]:
+def _surroundings(found: LogFigures) -> Iterator[Finding]:
     if found.temperature == "absent":
         yield _YES, "no temperature: the interval will be wider"
     elif found.facts.temperature_of_escs:

@@ -1,15 +1,15 @@
-"""Live frames of one vehicle -> rows of its batteries, by the same rules and functions as a tlog is read.
+"""Live frames of one vehicle -> rows of its batteries, by the same rules and functions as for a tlog.
 
-    HEARTBEAT: armed, PX4 or not        PARAM_VALUE: PackFacts of each battery (`HeardParameters`: which of them count)
+    HEARTBEAT: armed, PX4 or not        PARAM_VALUE: PackFacts of each battery (`HeardParameters` decides which count)
     AUTOPILOT_VERSION: serial number
     BATTERY_STATUS / SYS_STATUS / BATTERY2: a Sample
     route and place: `NavigationListener`
 
-SYS_STATUS speaks for battery 0 (BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for
-FALLBACK_AFTER_S and then released; where battery 0 is the only one they count again when they have come for so long
-without its BATTERY_STATUS. The first row of a battery waits for its second: one damaged frame of 65 536 has a good
-checksum, and shall not make a battery that nobody has. PARAM_VALUE of an integer waits for the first heartbeat: PX4
-sends its bits, ArduPilot its value.
+SYS_STATUS is used for battery 0 (BATTERY2 for 1) only if no BATTERY_STATUS comes for it: such rows are held for
+FALLBACK_AFTER_S and then released. If battery 0 is the only one, they count again after ALONE_AFTER_S without its
+BATTERY_STATUS. The first row of a battery waits for the second one: one damaged frame in 65 536 has a good checksum,
+and must not make a battery that does not exist. PARAM_VALUE of an integer waits for the first heartbeat, because PX4
+sends the bits of an integer and ArduPilot its value.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from uavbatt.telemetry.route.messages import (
 )
 from uavbatt.telemetry.route.settings import NAMES
 from uavbatt.telemetry.senders import MOST_SENDERS, Senders
-from uavbatt.telemetry.streams import Counts
+from uavbatt.telemetry.streams import SequenceNumbers
 
 FALLBACK_AFTER_S = 5.0
 ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
@@ -63,14 +63,14 @@ def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
 
 
 class Vehicle:
-    """Vehicle takes the frames of one autopilot in order of reception, and keeps what a row needs of earlier ones."""
+    """Vehicle takes the frames of one autopilot in order of reception, and gives the rows of its batteries."""
 
     def __init__(self, system: int, component: int, own_component: int | None = None) -> None:
         self.system, self.component = system, component
         self.route = NavigationListener(own=None if own_component is None else (system, own_component))
         self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.senders = Senders()
-        self._counts: dict[object, Counts] = {}
+        self._counts: dict[object, SequenceNumbers] = {}
         self.parameters = HeardParameters()
         self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
@@ -103,26 +103,27 @@ class Vehicle:
 
     @property
     def is_beating(self) -> bool:
-        """Return True if its heartbeat was heard just before its last frame, so that the armed bit is of now."""
+        """Return True if a heartbeat came shortly before the last frame, so that the armed bit is up to date."""
         return self.now_s - self._beat_s <= BEATING_S
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
-        """Return which sender behind an address sent a frame of its identity: more than one may (`streams`)."""
+        """Return the sender of a frame from an address: two may share one address (`streams`)."""
         if address not in self._counts and len(self._counts) >= MOST_SENDERS:
             del self._counts[next(iter(self._counts))]  # the first that was heard
-        return self._counts.setdefault(address, Counts(address)).stream(framing.sequence(frame), stamp_s)
+        return self._counts.setdefault(address, SequenceNumbers(address)).stream(framing.sequence(frame), stamp_s)
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
         return self._log.time_s(stamp_s)
 
     def facts(self, instance: int) -> PackFacts:
-        """Return the vehicle's words so far about one battery."""
+        """Return the facts that the vehicle has stated about one battery so far."""
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Return who the pack of a battery is: by its own words, else by the parameter that holds its serial."""
+        """Return serial and cycles of a battery's pack: from its own messages, else from the parameter with its
+        serial."""
         said = self.packs.get(instance, fields.PackIdentity(instance))
         serial = self.parameters.known.get(ardupilot_prefix(instance) + "SERIAL_NUM", math.nan)
         if said.serial or not serial > 0.0:
@@ -130,19 +131,19 @@ class Vehicle:
         return replace(said, serial=fields.known_serial(f"{serial:.0f}"))
 
     def resume(self, earlier: Mapping[str, float]) -> None:
-        """Take over parameters that an earlier process heard of this vehicle; what it says itself goes before."""
+        """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
         self.parameters.resume(earlier)
         self.route.builder.settings(self.now_s, self.parameters.known)
 
     def take_other(self, message_id: int, message: Any, frame: bytes) -> bool:
-        """Take a mission message of another station; return True if it was sent to this autopilot."""
+        """Process a mission message of another station; return True if it was sent to this autopilot."""
         if (message.target_system, message.target_component) not in ((self.system, self.component), (self.system, 0)):
             return False
         self._in_transfer(frame, lambda: self.route.take_other(self.now_s, message_id, message))
         return True
 
     def _in_transfer(self, frame: bytes, take: Callable[[], None]) -> None:
-        """Take a frame of a mission transfer: those of the last whole one are the mission's words."""
+        """Process a frame of a mission transfer; the frames of the last complete one are kept for the recording."""
         if len(self._transfer_words) < MOST_TRANSFER_WORDS:
             self._transfer_words.append(frame)
         before = self.route.builder.held
@@ -157,7 +158,7 @@ class Vehicle:
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
     ) -> list[LiveRow]:
-        """Return the rows that a wanted message of the autopilot completes; `battery` is its reading of one, if any."""
+        """Return the rows that a message of the autopilot completes; `battery` is the battery reading in it, if any."""
         if message_id == fields.HEARTBEAT:
             self._log.armed, self._beat_s = fields.is_armed(message), time_s
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
@@ -207,7 +208,7 @@ class Vehicle:
             self.words[name.encode("latin-1")] = frame
 
     def _confirmed(self, row: LiveRow) -> list[LiveRow]:
-        """The row, with the first one of its battery if this is the second; nothing if it is the first."""
+        """Return the row; nothing if it is the first of its battery, and both if it is the second."""
         if row.instance in self.battery_ids:
             return [row]
         first = self._unconfirmed.pop(row.instance, None)
@@ -220,7 +221,7 @@ class Vehicle:
         return [row] if is_completed else [first, row]  # the first one's sum lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
-        """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
+        """Return rows of SYS_STATUS or BATTERY2 once it is clear that no BATTERY_STATUS comes for the battery."""
         is_sys_status = message_id == fields.SYS_STATUS
         if is_sys_status:
             self.voltages.hear(battery.voltage_V, time_s)
@@ -249,7 +250,7 @@ class Vehicle:
         return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
-        """The row, cleaned by the rules of the log readers; None when they drop it."""
+        """Return the row, cleaned by the rules of the log readers; None if they drop it."""
         sample = Sample(
             time_s=time_s,
             voltage_V=battery.voltage_V,

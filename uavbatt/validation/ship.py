@@ -1,4 +1,4 @@
-"""The battery file that ships when the gate says pass: the model fitted to all runs, with its certificate."""
+"""The battery file that ships if the gate's verdict is pass: the model fitted to all runs, with its certificate."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ def battery_file(
 
 
 def _beside(claim: Claim) -> bool:
-    """True for a claim that failed and does not gate: the certificate does not vouch for what it is about."""
+    """Return True for a failed claim that does not gate: the certificate does not cover it."""
     return claim.verdict == "fail" and not claim.gates
 
 
 def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
-    """Return the remarks for the user. A failed claim among the verdicts would bar the file where it is valid, too."""
+    """Return remarks for the user, with the failed claims: among the verdicts these would forbid the whole file."""
     unknown = [] if capacity_Ah else ["capacity unknown: parameters are per ampere-hour; give --capacity-ah"]
     beside = [c for c in claims if _beside(c)]
     failed = []
@@ -126,7 +126,7 @@ def _metered(
 
 
 def _held_out_discrepancy(held: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
-    """Sum up what the model leaves on occasions that it has not seen; it is correlated over minutes."""
+    """Return the discrepancy of the model on held-out occasions, which is correlated over minutes."""
     gap_V = (held.model_V - held.measured_V)[:, :, judged_instants(held, limits, dataset.cutoff_V)]
     with np.errstate(invalid="ignore"):
         gap_K = None if held.model_C is None or held.measured_C is None else held.model_C - held.measured_C

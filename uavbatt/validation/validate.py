@@ -1,4 +1,4 @@
-"""The whole ISO 5725 stage on one data set judges the tests, builds the corridor and gates the models.
+"""The whole ISO 5725 stage on one data set: judge the tests, build the corridor, gate the models.
 
 Two models are gated on the same held-out occasions: the circuit model, which ships, and the regression model, its
 rival. Fast records are read at the whole minutes first (`Readings`), for the statistics as for the models.
@@ -154,14 +154,14 @@ def _judged_repeats(readings: Readings, limits: Limits) -> Levels:
 
 
 def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[float], None]:
-    """Turn counts of fits into shares of all `fits`. The regression is left out: it takes no time beside them."""
+    """Turn counts of fits into shares of all `fits`; the regression is left out, as it is fast."""
     return (lambda _: None) if progress is None else (lambda done: progress(done / fits))
 
 
 def model_claims(
     readings: Readings, held: HeldOut, found: Corridor, limits: Limits, method: Method = "iso"
 ) -> list[Claim]:
-    """List the claims that a model can be judged by: voltage, corridor, times, surface and other temperatures.
+    """List the claims about a model: voltage, corridor, times, surface and other temperatures.
 
     `held` are its predictions of held-out runs, `found` the corridor of the voltage at the same ambient temperature.
     """

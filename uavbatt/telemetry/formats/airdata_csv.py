@@ -2,10 +2,10 @@
 
     time(millisecond)           since the start
     voltage(v), current(A)      of the pack; positive discharges; 0 V until the pack has spoken
-    voltageCell1 ..             of the cells; 0 for a cell that the pack has not
+    voltageCell1 ..             of the cells; 0 for a cell that the pack does not have
     battery_temperature(c)      or (f), by the units of the account
     datetime(utc)               of the row, to a second: the first is the date of the flight
-The pack's percent are not read. The capacity is not in the file.
+The pack's own percentage is not read. The capacity is not in the file.
 """
 
 from __future__ import annotations

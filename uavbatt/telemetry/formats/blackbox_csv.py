@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.formats.logger_table import MILLI, NUMBER, Columns, Row, read_rows, scaled
+from uavbatt.telemetry.formats.logger_table import MILLI, NUMBER, Columns, TableRow, read_rows, scaled
 
 PERIOD_S = 0.1
 COLUMNS: Columns = {
@@ -33,7 +33,7 @@ def read_blackbox(source: str, data: bytes) -> LogBuilder:
     return log
 
 
-def _add_means(rows: Iterable[Row], log: LogBuilder) -> None:
+def _add_means(rows: Iterable[TableRow], log: LogBuilder) -> None:
     """Put the mean of every whole period into the log; the last one, which may be cut, is left out."""
     volts, amps = list[float](), list[float]()
     begin_s = last_s = -math.inf

@@ -1,8 +1,8 @@
-"""A log is a chain: each record begins where the last one ends. Whole arrays of candidates are walked at once.
+"""Search for the records of a log as a chain: each record begins where the last one ends.
 
-A candidate is a place where a record could begin. As long as each candidate ends where the next begins, a stretch of
-them is taken in one go; only where the chain breaks (damage, or bytes inside a record that look like the head of one)
-is a candidate judged singly. A file is walked window by window, so that the arrays stay small however long it is.
+A candidate is a place where a record could begin. While each candidate ends where the next one begins, a whole run of
+them is accepted at once. A candidate is judged alone only where the chain breaks: by damage, or by bytes inside a
+record that look like the head of a record. A file is searched window by window, so that the arrays stay small.
 """
 
 from __future__ import annotations

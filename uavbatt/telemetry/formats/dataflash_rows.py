@@ -6,8 +6,8 @@ character `h` of old `CURR` records means centivolts and centiamps, `f` volts an
     BAT, BAT2 .. BAT9       4.0: one message a battery; later BAT with a field Instance or Inst
     BCL, BCL2 ..            cell millivolts, written right after BAT with the same time
     PARM, ARM, EV           parameters, arming (EV 10 armed, 11 disarmed)
-CurrTot is mAh. VoltR is the autopilot's guess of the resting voltage and is not read.
-Temp 0 means that there is no sensor.
+CurrTot is in mAh. VoltR is the autopilot's estimate of the resting voltage and is not read. Temp 0 means that there is
+no sensor.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class _Timed(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """Something that holds from its place in the log on."""
+    """Values that hold from their place in the log on."""
 
     order: Order
     value: NDArray[np.float64]
@@ -166,7 +166,7 @@ def _merged(parts: Sequence[Sequence[Column | Order]]) -> list[NDArray[Any]]:
 
 
 def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
-    """The changes that several tables tell of."""
+    """Return the changes in several tables as one, in the order of the log."""
     return _Change(*_merged([(np.zeros(0, np.int64), np.zeros(0)), *parts]))
 
 
@@ -235,9 +235,9 @@ def _without_current(order: Order, instance: Order, parameters: Sequence[_Timed]
 
 
 def _instance(table: Table) -> Order:
-    """Battery instances: the records' own field, else the number in their name (BAT2 is instance 1).
+    """Return the battery instances: the records' own field, else the number in their name (BAT2 is instance 1).
 
-    A field that a damaged definition made another type says what no instance is: NO_INSTANCE.
+    An impossible number, as after a damaged definition of the field, becomes NO_INSTANCE.
     """
     for label in ("Instance", "Inst"):
         if label in table.numbers:

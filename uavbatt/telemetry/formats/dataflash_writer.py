@@ -93,7 +93,7 @@ def parameter_record(time_us: int, name: str, value: float) -> bytes:
 
 
 def battery_record(time_us: int, sample: Sample, instance: int) -> bytes:
-    """Return one BAT record of `sample`; see the module's text for what unknown becomes."""
+    """Return one BAT record of `sample`; the module's docstring says how unknown values are written."""
     return BAT.record(
         time_us,
         instance,

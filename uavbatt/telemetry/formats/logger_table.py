@@ -1,7 +1,7 @@
-"""A table that an app or a logger wrote: its kind by the names of its columns, and the cells that a reader asks for.
+"""Tables that an app or a logger wrote: which kind a table is, and its cells in our units.
 
-Such tables have dozens of columns, of which a handful speak of the battery. Names are spelt as the program spells them,
-the unit in brackets; blanks around them do not count, nor does a first line `sep=,`. An empty cell is not measured.
+Such tables have dozens of columns, and a few of them are of the battery. Column names are those of the program, with
+the unit in brackets. Blanks around a name and a first line `sep=,` are ignored. An empty cell is not measured.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
 
 Cell = Callable[[str], float]  # raises ValueError for a cell that is none
-Columns = Mapping[str, Mapping[str, Cell]]  # ours -> their names for it, the first that is there counts
-_BEGINNING = 1 << 16  # bytes in which a table has told who flew
+Columns = Mapping[str, Mapping[str, Cell]]  # our name -> the program's names; the first that is present counts
+_BEGINNING = 1 << 16  # bytes in which a table names the aircraft and the battery
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
 
 
-class Row(NamedTuple):
-    """A Row of a table holds its cells as they were written, and their values in our units; NaN is not measured."""
+class TableRow(NamedTuple):
+    """A TableRow holds the cells of a row as written, and their values in our units; NaN is not measured."""
 
     cells: tuple[str, ...]
     values: Mapping[str, float]
@@ -50,8 +50,10 @@ def kind_of_table(head: bytes) -> str:
     return "blackbox" if "loopIteration" in names else "csv"
 
 
-def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...], log: LogBuilder) -> Iterator[Row]:
-    """Read the wanted columns of a table, row by row; what was left out goes into the notes of `log`.
+def read_rows(
+    source: str, data: bytes, wanted: Columns, needed: tuple[str, ...], log: LogBuilder
+) -> Iterator[TableRow]:
+    """Read the wanted columns of a table, row by row; rows left out are counted in the notes of `log`.
 
     wanted : our columns with the names that they may have in the table
     needed : those that must be there
@@ -78,7 +80,7 @@ def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...]
                 values[ours] = read(cell) if cell else NAN
             except ValueError:
                 raise BadInput(source, f"{place}, column {header[index]}", f"a number, found `{cell[:40]}`") from None
-        yield Row(tuple(cells[index] for index, _ in chosen.values()), values)
+        yield TableRow(tuple(cells[index] for index, _ in chosen.values()), values)
 
 
 def first_words(data: bytes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, str]:

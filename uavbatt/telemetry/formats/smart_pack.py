@@ -1,7 +1,7 @@
-"""Rows of a smart pack as apps write them: ten rows a second, in which the pack speaks about once a second.
+"""Rows of a smart pack as apps write them: ten rows a second, while the pack sends about one reading a second.
 
-A reading that is only repeated is no second measurement: it would make the filter surer than it may be. A row counts
-when the pack or the motors say something new, or after a second in which they did not.
+A repeated reading is not a second measurement: it would make the filter too sure. A row counts if a value has changed,
+or if the last one was a second ago.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from collections.abc import Iterable
 
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.formats.logger_table import Row
+from uavbatt.telemetry.formats.logger_table import TableRow
 from uavbatt.telemetry.parameters import ardupilot_prefix
 
 HELD_S = 1.0
 CELLS = tuple(f"cell_{n}_V" for n in range(1, 15))
 
 
-def add_rows(rows: Iterable[Row], log: LogBuilder) -> None:
-    """Put the rows that say something new into the log, and what the pack states of itself."""
+def add_rows(rows: Iterable[TableRow], log: LogBuilder) -> None:
+    """Add the rows with new values to the log, and the cells and capacity that the pack states."""
     said: tuple[str, ...] = ()
     kept_s = -math.inf
     for row in rows:
@@ -42,7 +42,7 @@ def cells_of(names: str) -> dict[str, str]:
     return {ours: names.format(n) for n, ours in enumerate(CELLS, start=1)}
 
 
-def _sample(time_s: float, row: Row) -> Sample:
+def _sample(time_s: float, row: TableRow) -> Sample:
     values = row.values
     motors = values.get("motors", NAN)
     cells = (values.get(name, NAN) for name in CELLS)
@@ -52,12 +52,12 @@ def _sample(time_s: float, row: Row) -> Sample:
         current_A=values.get("current_A", NAN),
         temp_C=values.get("temp_C", NAN),
         armed=None if math.isnan(motors) else bool(motors),
-        cell_voltages_V=tuple(volts for volts in cells if volts > 0.0),  # 0 is a cell that the pack has not
+        cell_voltages_V=tuple(volts for volts in cells if volts > 0.0),  # 0: the pack does not have this cell
     )
 
 
-def _state(log: LogBuilder, time_s: float, row: Row, sample: Sample) -> None:
-    """Add the first cells and capacity that the pack states, by the names of the parameters of other packs."""
+def _state(log: LogBuilder, time_s: float, row: TableRow, sample: Sample) -> None:
+    """Add cells and capacity that the pack states as vehicle parameters, the first time they are known."""
     stated = {
         "BAT1_N_CELLS": float(len(sample.cell_voltages_V)),
         ardupilot_prefix(0) + "CAPACITY": row.values.get("capacity_mAh", NAN),

@@ -1,9 +1,9 @@
 """Telemetry logs (.tlog) of a ground station: choose the autopilot, take its battery messages.
 
-A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components
-of their own; only the chosen autopilot speaks of the battery here. BATTERY_STATUS names batteries by id;
-SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, or none for 5 s and of battery 0
-alone; BATTERY2 (old) where none had the id 1.
+A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components of their own. Only
+battery messages of the chosen autopilot are read. BATTERY_STATUS names batteries by id. SYS_STATUS counts only if the
+vehicle sent no BATTERY_STATUS at all, or if battery 0 is the only one and sent none for 5 s. BATTERY2 (old) counts only
+if no BATTERY_STATUS has the id 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import forecast_period_s, is_recording
-from uavbatt.telemetry.formats.tlog_cells import Heard, Row, with_all_cells
+from uavbatt.telemetry.formats.tlog_cells import BatteryStatusRows, HeardMessages, with_all_cells
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
@@ -78,7 +78,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
 
 
 def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None) -> int:
-    """The source whose battery messages are read, _NOBODY if there is none; component 1 goes before all others."""
+    """Return the source whose battery messages are read, component 1 if possible; _NOBODY if there is none."""
     beating = found.of(fields.HEARTBEAT)
     is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
     beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
@@ -132,7 +132,7 @@ def _beats(own: FrameTable) -> _Beats:
 
 
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
-    """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
+    """Add the parameters whose statements count, by the same rules as in flight (`HeardParameters`)."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     statements = own.at(place)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
@@ -152,7 +152,7 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
 
 
 def _add_packs(own: FrameTable, log: LogBuilder) -> None:
-    """Add the packs by their own words; the first word of each counts."""
+    """Add serial and cycles of the packs; the first message of each pack counts."""
     for message_id, length in fields.IDENTITY_LENGTH.items():
         for payload in own.of(message_id).payloads(length):
             said = fields.pack_identity(message_id, payload.tobytes())
@@ -161,7 +161,7 @@ def _add_packs(own: FrameTable, log: LogBuilder) -> None:
 
 
 def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
-    """The rows of every battery message that counts, in order."""
+    """Add the rows of all battery messages that count, in order."""
     places, parts = [], []
     ids: list[int] = []
     told = np.zeros(0, np.int64)
@@ -200,8 +200,8 @@ def _completed(
         return said
     kind = tlog_payloads.KINDS[fields.SYS_STATUS]
     volts = kind.said(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
-    row = Row(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
-    return with_all_cells(said, row, Heard(heard, volts), time_s[heard])
+    row = BatteryStatusRows(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
+    return with_all_cells(said, row, HeardMessages(heard, volts), time_s[heard])
 
 
 def _armed(beats: _Beats, last: NDArray[np.int64]) -> NDArray[np.int8]:
@@ -210,7 +210,8 @@ def _armed(beats: _Beats, last: NDArray[np.int64]) -> NDArray[np.int8]:
 
 
 def _alone(place: NDArray[np.int64], told: NDArray[np.int64], time_s: Column) -> NDArray[np.int64]:
-    """Return the messages that come when the others have not told of the battery for a while, as in flight."""
+    """Return the messages that come after a while without the other ones of the battery, by the same rule as in
+    flight."""
     steps_s = np.minimum(np.diff(time_s[place], prepend=-math.inf), LONGEST_ALONE_S)
     alone_s = np.append(np.cumsum(steps_s), 0.0)  # index -1, none before: the appended one
     last = latest_before(place, told)

@@ -1,4 +1,4 @@
-"""Cells that are missing from the sum of BATTERY_STATUS in a telemetry log, row by row as in flight: `PackVoltages`."""
+"""Pack voltage of a telemetry log whose BATTERY_STATUS lacks cells: corrected row by row, as in flight."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from uavbatt.telemetry.pack_voltage import (
 )
 
 
-class Heard(NamedTuple):
-    """Heard holds the messages of one kind in a log: their places among the vehicle's frames, and one value of each."""
+class HeardMessages(NamedTuple):
+    """HeardMessages holds the messages of one type: their places among the vehicle's frames, and one value of each."""
 
     place: NDArray[np.int64]
     value: Column
 
 
-class Row(NamedTuple):
-    """Row holds the BATTERY_STATUS messages of a log: place, time [s], vehicle armed (or UNKNOWN), sent by a PX4."""
+class BatteryStatusRows(NamedTuple):
+    """BatteryStatusRows holds place and time [s] of each BATTERY_STATUS, `armed` (or UNKNOWN), and if PX4 sent it."""
 
     place: NDArray[np.int64]
     time_s: Column
@@ -36,10 +36,12 @@ class Row(NamedTuple):
     is_px4: Mask
 
 
-def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_s: Column) -> BatteryMessages:
-    """Return the messages with the pack's voltage, and without cells where those told are not all.
+def with_all_cells(
+    said: BatteryMessages, row: BatteryStatusRows, sys_status: HeardMessages, sys_time_s: Column
+) -> BatteryMessages:
+    """Return the messages with the voltage of the whole pack; cell voltages are removed if some cells are missing.
 
-    sys_status : the voltages [V] of SYS_STATUS, heard at `sys_time_s` [s].
+    sys_status : the voltages [V] of SYS_STATUS, received at `sys_time_s` [s].
     """
     if said.cells_V is None or _are_sound(said, row, sys_status):
         return said
@@ -66,12 +68,12 @@ def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_
 
 
 def _forget_first(instance: NDArray[np.int64], number: int, volts: Column) -> None:
-    """Leave out a first row whose sum lacks the cells that the second was given: SYS_STATUS came between them."""
+    """Leave out a first row whose sum lacks cells: the SYS_STATUS that shows it came before the second row only."""
     volts[int(np.flatnonzero(instance == number)[0])] = np.nan
 
 
-def _are_sound(said: BatteryMessages, row: Row, sys_status: Heard) -> bool:
-    """Return True if nothing can be missing: then no row needs to be looked at on its own."""
+def _are_sound(said: BatteryMessages, row: BatteryStatusRows, sys_status: HeardMessages) -> bool:
+    """Return True if no cell can be missing, so that the rows need no check one by one."""
     assert said.cells_V is not None
     told = np.isfinite(said.cells_V)
     counts = np.count_nonzero(told, axis=1)

@@ -1,8 +1,8 @@
 """Payloads of the MAVLink messages that a log reader wants, as columns.
 
-Layouts are the wire's own: fields by falling size, extensions behind. What the values mean (units, sentinels) is said
-in `mavlink.fields`, message by message, for the live link; battery messages come by the thousand, so the same stands
-here once more for whole columns, and a test holds the two equal.
+The layouts are those on the wire: fields by falling size, then extensions. Units and sentinels are read in
+`mavlink.fields` message by message for the live link. A log has thousands of battery messages, so the same rules are
+here again for whole columns; a test keeps both the same.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class BatteryMessages(NamedTuple):
         return BatteryMessages(*columns)
 
 
-class Kind(NamedTuple):
-    """A Kind of battery message has a layout, and a function that says what its payloads mean."""
+class MessageKind(NamedTuple):
+    """A MessageKind of battery message has a layout, and a function that says what its payloads mean."""
 
     layout: np.dtype[Any]
     read: Callable[[Any], BatteryMessages]
@@ -147,9 +147,9 @@ def _battery2(said: Any) -> BatteryMessages:
 
 
 KINDS = {
-    fields.BATTERY_STATUS: Kind(BATTERY_STATUS, _battery_status),
-    fields.SYS_STATUS: Kind(SYS_STATUS, _sys_status),
-    fields.BATTERY2: Kind(BATTERY2, _battery2),
+    fields.BATTERY_STATUS: MessageKind(BATTERY_STATUS, _battery_status),
+    fields.SYS_STATUS: MessageKind(SYS_STATUS, _sys_status),
+    fields.BATTERY2: MessageKind(BATTERY2, _battery2),
 }
 
 

@@ -1,1 +1,1 @@
-"""Route and place: what an autopilot, its log or a mission file says of where the aircraft is and what it will fly."""
+"""Route and place: position, mission and mode of the aircraft, from an autopilot, its log or a mission file."""

@@ -1,6 +1,6 @@
-"""`NavigationBuilder`: what is known of route and place, put together from what is heard, in the order of hearing.
+"""`NavigationBuilder`: route and place, put together from messages in the order of reception.
 
-Readers of all logs and the live link say what they hear in SI; here it becomes one `Navigation`, the same for all.
+The readers of all logs and of the live link give it values in SI; it makes the same `Navigation` for all of them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,7 @@ AIRSPEED_AGE_S = 3.0  # an older airspeed is not the present one
 
 
 class NavigationBuilder:
-    """NavigationBuilder puts together what is heard of route and place.
-
-    With `keeps_all` it holds every state that lasted a moment.
-    """
+    """NavigationBuilder puts together route and place; with `keeps_all` it keeps the state of every instant."""
 
     def __init__(self, keeps_all: bool = False) -> None:
         self._known: dict[str, Any] = {name: getattr(NOWHERE, name) for name in Navigation.__slots__}
@@ -33,19 +30,19 @@ class NavigationBuilder:
 
     @property
     def now(self) -> Navigation:
-        """Return what is known at present."""
+        """Return route and place as known now."""
         if self._built is None:
             self._built = Navigation(**self._known)
         return self._built
 
     @property
     def held(self) -> Mission | None:
-        """Return the mission that is known at present; None without one."""
+        """Return the mission as known now; None without one."""
         found: Mission | None = self._known["mission"]
         return found
 
     def timeline(self) -> tuple[Navigation, ...]:
-        """Return every state that lasted a moment, ascending in time."""
+        """Return the states of all instants, ascending in time."""
         kept = self._kept or []
         return (*kept, self.now) if self.now is not NOWHERE else tuple(kept)
 
@@ -55,26 +52,26 @@ class NavigationBuilder:
             self._change(time_s, mode=mode, mode_since_s=time_s)
 
     def mission(self, time_s: float, mission: Mission) -> None:
-        """Take a whole mission; the same one once more changes nothing but that nobody transfers it any longer."""
+        """Take a complete mission; if it is the same as before, only its transfer ends."""
         if not _is_same(mission, self._known["mission"]):
             self._change(time_s, mission=mission, mission_since_s=time_s, transferring=False)
         else:
             self.transferring(time_s, False)
 
     def transferring(self, time_s: float, is_so: bool) -> None:
-        """Note if a mission is being transferred that is not whole yet."""
+        """Note if a mission is being transferred and is not complete yet."""
         if is_so is not self._known["transferring"]:
             self._change(time_s, transferring=is_so)
 
     def current(self, time_s: float, seq: int) -> None:
-        """Take the item that is flown to."""
+        """Take the item to which the vehicle flies."""
         if seq == self._known["current"]:
             self._change(time_s, current_heard_s=time_s)
         else:
             self._change(time_s, current=seq, current_since_s=time_s, current_heard_s=time_s)
 
     def still_current(self, time_s: float) -> None:
-        """Note with a position that the same item is still flown to: a log that goes on would tell of another."""
+        """Note with a position that the same item is still flown: the log would show a change."""
         if self._known["current"] is not None and time_s == self._known["time_s"]:
             self._known["current_heard_s"], self._built = time_s, None
 
@@ -84,29 +81,29 @@ class NavigationBuilder:
             self._change(time_s, reached=seq)
 
     def home(self, time_s: float, home: Home) -> None:
-        """Take the place that the autopilot returns to; a place that is none changes nothing."""
+        """Take the home position; an impossible position changes nothing."""
         if _is_place(home.lat_deg, home.lon_deg) and not _is_same(home, self._known["home"]):
             self._change(time_s, home=home)
 
     def parameter(self, time_s: float, name: str, value: float) -> None:
-        """Take a vehicle parameter, if it is one of speeds or of the way home."""
+        """Take a vehicle parameter, if it is of speeds or of the way home."""
         if name not in settings.NAMES:
             return
         self._parameters[name] = value
         self.settings(time_s, self._parameters)
 
     def settings(self, time_s: float, parameters: Mapping[str, float]) -> None:
-        """Take all parameters that are known by now."""
+        """Take all parameters that are known now."""
         self._stated = settings.return_settings(parameters)
         self._settle(time_s)
 
     def rally(self, time_s: float, points: int) -> None:
-        """Take how many rally points the autopilot holds: with some of them nobody knows where it will return to."""
+        """Take the number of rally points in the autopilot: with rally points the place of return is unknown."""
         self._rally_points = points
         self._settle(time_s)
 
     def _settle(self, time_s: float) -> None:
-        """Join what is stated of the way home with the rally points that have passed."""
+        """Combine the parameters of the way home with the rally points heard."""
         found = self._stated
         if self._rally_points > 0 and not found.return_reason:
             words = f"the vehicle has rally points ({self._rally_points}): it may return to one of them"
@@ -118,7 +115,7 @@ class NavigationBuilder:
         self, time_s: float, lat_deg: float, lon_deg: float, height_m: float,
         north_ms: float = NAN, east_ms: float = NAN, up_ms: float = NAN,
     ) -> None:  # fmt: skip
-        """Take where the aircraft is; places that are none, and what comes faster than is needed, are passed over."""
+        """Take the position of the aircraft; impossible positions, and those that come too fast, are skipped."""
         last = self._known["position"]
         if last is not None and 0.0 <= time_s - last.time_s < POSITION_STEP_S:
             return
@@ -129,22 +126,22 @@ class NavigationBuilder:
         self._change(time_s, position=place)
 
     def airspeed(self, time_s: float, airspeed_ms: float) -> None:
-        """Take the airspeed, for the next position; a copter without an estimate says 0, which is unknown."""
+        """Take the airspeed for the next position; 0 is unknown, as a copter without an estimate sends it."""
         if airspeed_ms > 0.0:
             self._airspeed_ms, self._airspeed_at_s = airspeed_ms, time_s
 
     def wind(self, time_s: float, north_ms: float, east_ms: float, sd_ms: float = NAN) -> None:
-        """Take the wind; exactly none at all is what an autopilot says that does not estimate it."""
+        """Take the wind; exactly 0 is unknown, as an autopilot without an estimate sends it."""
         if math.isfinite(north_ms) and math.isfinite(east_ms) and (north_ms or east_ms):
             self._change(time_s, wind=Wind(north_ms, east_ms, sd_ms))
 
     def landed(self, time_s: float, is_landed: bool | None) -> None:
-        """Note if the aircraft stands on the ground; None is unknown."""
+        """Note if the aircraft is on the ground; None is unknown."""
         if is_landed is not self._known["landed"]:
             self._change(time_s, landed=is_landed)
 
     def _change(self, time_s: float, **changed: Any) -> None:
-        """Change what is known. What was known until now is kept if it lasted: of one instant only the last state."""
+        """Change the present state; of each instant only the last state is kept."""
         was_s = self._known["time_s"]
         if self._kept is not None and time_s > was_s:
             self._kept.append(self.now)
@@ -154,10 +151,10 @@ class NavigationBuilder:
 
 
 def _is_place(lat_deg: float, lon_deg: float) -> bool:
-    """Return True if this is a place on Earth; latitude and longitude 0 are what a receiver says that has no fix."""
+    """Return True if this is a position on Earth; latitude and longitude 0 mean a receiver without a fix."""
     return abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and not (lat_deg == 0.0 and lon_deg == 0.0)
 
 
 def _is_same(one: object, other: object) -> bool:
-    """Return True if two values are equal, an unknown (NaN) being equal to an unknown."""
+    """Return True if two values are equal; NaN counts as equal to NaN."""
     return repr(one) == repr(other)

@@ -1,8 +1,8 @@
 """Mission items as MAVLink spells them (MAV_CMD, MAV_FRAME, seven parameters) -> `MissionItem`, and items -> `Mission`.
 
-ArduPilot reads latitude and longitude 0 of an item as "where the aircraft is" and a height of 0 as "as it is"; PX4 says
-both with NaN. A command that moves the aircraft in a way that is not understood here, or fields that cannot be true,
-make an item UNKNOWN, and one such item makes the route unknown: a wrong route is worse than none.
+For ArduPilot latitude and longitude 0 of an item mean "where the aircraft is", and height 0 means "unchanged"; PX4 uses
+NaN for both. An item is UNKNOWN if its command moves the aircraft in a way that is not modelled here, or if a field is
+impossible. One such item makes the route unknown: a wrong route is worse than none.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _NAMES = {
 
 
 class Fields(NamedTuple):
-    """Fields holds one item as its sender spells it: degrees and metres, NaN for what it leaves open."""
+    """Fields holds one item as sent: degrees and metres, NaN for a field that is not set."""
 
     seq: int
     frame: int  # MAV_FRAME; -1: it is not said
@@ -57,17 +57,17 @@ class Fields(NamedTuple):
 
 
 def is_flown(command: int) -> bool:
-    """Return True if an autopilot calls an item of this command its current one: it flies to it or waits at it."""
+    """Return True if an item of this command can be the current one: the vehicle flies to it or waits at it."""
     return command <= _LAST_NAVIGATION_COMMAND
 
 
 def needs_height(command: int) -> bool:
-    """Return True if an item of this command is flown to at a height of its own."""
+    """Return True if an item of this command has a height of its own."""
     return command in _AT_A_PLACE and command != LAND
 
 
 def mission_item(fields: Fields, is_px4: bool = False) -> MissionItem:
-    """Return what a mission item asks for; UNKNOWN with a reason when that is not understood."""
+    """Return the mission item of these fields; UNKNOWN with a reason if it is not understood."""
     if fields.command in _AT_A_PLACE:
         return _at_a_place(fields, is_px4)
     read = _WITHOUT_PLACE.get(fields.command)
@@ -81,7 +81,8 @@ def mission_item(fields: Fields, is_px4: bool = False) -> MissionItem:
 
 
 def item_fields(item: MissionItem) -> Fields:
-    """Return the fields by which an item is sent: the inverse of `mission_item` for what is understood (ArduPilot)."""
+    """Return the fields of an item as ArduPilot sends it: the inverse of `mission_item` for items that are
+    understood."""
     param1 = {Action.LOITER_TURNS: item.turns, Action.SPEED: _number_of(item.speed_kind), Action.JUMP: item.jump_to}
     param2 = {Action.SPEED: item.speed_ms if item.speed_ms > 0.0 else -2.0, Action.JUMP: item.repeats}
     lat_deg, lon_deg, alt_m = (0.0 if v != v else v for v in (item.lat_deg, item.lon_deg, item.alt_m))
@@ -97,7 +98,7 @@ def _number_of(kind: SpeedKind) -> int:
 
 
 def mission(items: Sequence[MissionItem], source: str, has_home_item: bool = True) -> Mission:
-    """Return the mission of these items (in order), with the reason why it is not understood, if it is not."""
+    """Return the mission of these items, in order; its `reason` says why it is not understood, if so."""
     return Mission(tuple(items), source, _reason(items, has_home_item), has_home_item)
 
 
@@ -121,7 +122,7 @@ def _unknown(fields: Fields, reason: str) -> MissionItem:
 
 
 def _at_a_place(fields: Fields, is_px4: bool) -> MissionItem:
-    """Return an item that is flown to."""
+    """Return the item of a waypoint, with its place."""
     lat_deg, lon_deg, alt_m = fields.lat_deg, fields.lon_deg, fields.alt_m
     if lat_deg == 0.0 and lon_deg == 0.0:
         lat_deg = lon_deg = NAN
@@ -143,7 +144,7 @@ def _at_a_place(fields: Fields, is_px4: bool) -> MissionItem:
 
 
 def _stay(fields: Fields, item: MissionItem) -> MissionItem:
-    """Return the item with how long it is stayed at."""
+    """Return the item with the time or the turns for which the vehicle stays."""
     if item.action is Action.LOITER_TURNS:
         if not 0.0 <= fields.param1 <= _MOST_TURNS:
             return _unknown(fields, f"{fields.param1:g} turns")
@@ -159,7 +160,7 @@ def _stay(fields: Fields, item: MissionItem) -> MissionItem:
 
 
 def _radius_m(said: float) -> float:
-    """Return the radius of a circle [m]; its sign is the direction, 0 is the autopilot's own."""
+    """Return the radius of a circle [m]; the sign (direction) is dropped, 0 is the autopilot's default."""
     return abs(said) if math.isfinite(said) else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Route and place of a log as events in the order of time, played into a `NavigationBuilder`."""
+"""Route and place of a log as events in order of time, fed to a `NavigationBuilder`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Event = tuple[float, Callable[..., None], tuple[Any, ...]]  # (time [s], what ta
 
 
 def play(events: Iterable[Event], parameters: Iterable[tuple[float, str, float]], builder: NavigationBuilder) -> None:
-    """Play events and statements of parameters (time [s], name, value), each in its own order, by their times."""
+    """Feed events and parameters (time [s], name, value) to the builder, merged by their times."""
     said: list[Event] = [(at_s, builder.parameter, (name, value)) for at_s, name, value in parameters if name in NAMES]
     for time_s, take, arguments in merge(said, events, key=lambda event: event[0]):
         take(time_s, *arguments)

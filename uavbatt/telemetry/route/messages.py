@@ -1,4 +1,4 @@
-"""Decoded MAVLink messages -> `NavigationBuilder`, for logs of a ground station and the live link alike.
+"""Decoded MAVLink messages -> `NavigationBuilder`, for telemetry logs and for the live link.
 
 A message is anything with the attributes of the MAVLink XML: pymavlink's own, or a light tuple of a fast reader.
 Scales: 1e-7 deg, mm, cm/s; `relative_alt` counts from home, `vz` downwards, WIND.direction is where it comes from.
@@ -42,7 +42,7 @@ _NO_TOTAL = (0, 0xFFFF)
 
 
 class NavigationListener:
-    """NavigationListener takes the messages of one autopilot, and those of others to it; it knows route and place.
+    """NavigationListener takes messages of one autopilot and messages of others to it; it gives route and place.
 
     own : system and component by which this process asks for the mission itself, if it does
     """
@@ -63,12 +63,12 @@ class NavigationListener:
 
     @property
     def now(self) -> Navigation:
-        """Return what is known at present."""
+        """Return route and place as known now."""
         return self.builder.now
 
     @property
     def wants_mission(self) -> bool:
-        """Return True if the mission that the autopilot holds is not known."""
+        """Return True if the autopilot's mission is not known."""
         return self.builder.held is None or self._is_outdated or self.transfer.is_open
 
     def take(self, time_s: float, message_id: int, message: Any) -> None:
@@ -108,7 +108,7 @@ class NavigationListener:
         self._hold(time_s, self.transfer.whole(SOURCE, not self._is_px4))
 
     def _rally(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
-        """Count the rally points that pass: what is written to the autopilot counts once it has acknowledged it."""
+        """Count rally points in a transfer; points written to the autopilot count once it has acknowledged them."""
         if message_id == MISSION_CLEAR_ALL:
             self._rally_to_come = 0
         elif message_id == MISSION_COUNT and is_upload:
@@ -117,7 +117,7 @@ class NavigationListener:
             self.builder.rally(time_s, message.count)
 
     def _part(self, time_s: float, message: Any) -> None:
-        """Begin a transfer in which another station writes some items of the known mission anew."""
+        """Begin a transfer in which another station replaces some items of the known mission."""
         known = self.builder.held
         if known is not None and 0 <= message.start_index <= message.end_index < len(known.items):
             kept = [i for i in known.items if not message.start_index <= i.seq <= message.end_index]
@@ -136,7 +136,7 @@ class NavigationListener:
             self._outdate(time_s)
 
     def _hold(self, time_s: float, mission: Any) -> None:
-        """Take the mission that the autopilot holds from now on; None changes nothing."""
+        """Set the mission that the autopilot has from now on; None changes nothing."""
         if mission is not None:
             self._mission_id, self._is_outdated = 0, False
             self.builder.mission(time_s, mission)
@@ -150,7 +150,7 @@ class NavigationListener:
         self.builder.current(time_s, message.seq)
 
     def _doubt(self, time_s: float, total: int, mission_id: int) -> None:
-        """Compare the length and the number that the autopilot says of its mission with the mission that was read."""
+        """Compare length and id that the autopilot reports of its mission with the known mission."""
         known = self.builder.held
         if known is None or known.reason or self.transfer.is_open:
             return
@@ -161,7 +161,7 @@ class NavigationListener:
             self._outdate(time_s)
 
     def _outdate(self, time_s: float) -> None:
-        """Mark the known mission as wrong: the autopilot holds another, whose items were not heard."""
+        """Mark the known mission as wrong: the autopilot has another one, whose items were not heard."""
         known, self._is_outdated = self.builder.held, True
         if known is not None and not known.reason:
             self.builder.mission(time_s, replace(known, reason="the autopilot holds another mission than was read"))

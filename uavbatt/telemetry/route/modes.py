@@ -54,7 +54,7 @@ _PX4_STATE = {0: Mode.MANUAL, 1: Mode.MANUAL, 2: Mode.MANUAL, 3: Mode.MISSION, 4
 
 
 def mode_of(heartbeat: Any) -> Mode:
-    """Return the mode that a HEARTBEAT of an autopilot tells."""
+    """Return the mode in a HEARTBEAT of an autopilot."""
     if heartbeat.type not in _MULTIROTORS:
         return Mode.UNKNOWN
     if heartbeat.autopilot == AUTOPILOT_PX4:
@@ -68,7 +68,7 @@ def copter_mode(number: int) -> Mode:
 
 
 def copter_mode_named(text: str) -> Mode:
-    """Return the mode of an ArduCopter by what a text log prints: its name, or its number."""
+    """Return the mode of an ArduCopter by its name or number, as a text log prints it."""
     name = text.strip().upper()
     return copter_mode(int(name)) if name.isdigit() else _COPTER_NAMES.get(name, Mode.UNKNOWN)
 

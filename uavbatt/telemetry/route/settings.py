@@ -39,7 +39,7 @@ NAMES = frozenset(name for names in _ALL for name, _ in names) | {
 
 
 def return_settings(known: Mapping[str, float]) -> ReturnSettings:
-    """Return what the known parameters (by name) say of speeds and of the way home."""
+    """Return speeds and way home from the known parameters, by name."""
     return ReturnSettings(
         cruise_ms=_positive(known, _CRUISE),
         climb_ms=_positive(known, _CLIMB),
@@ -81,7 +81,7 @@ def _final_m(known: Mapping[str, float]) -> float:
 
 
 def _cone_slope(known: Mapping[str, float]) -> float:
-    """Metres of return height a metre of distance; PX4 says it as the cone's half angle [deg], 0 is no cone."""
+    """Return the return height per distance [m/m]; PX4 sets the half angle of a cone [deg], 0 is no cone."""
     angle_deg = known.get(_CONE_ANGLE_DEG, NAN)
     if math.isfinite(angle_deg):
         return 1.0 / math.tan(math.radians(angle_deg)) if 0.0 < angle_deg <= 90.0 else 0.0
@@ -89,7 +89,7 @@ def _cone_slope(known: Mapping[str, float]) -> float:
 
 
 def _reason(known: Mapping[str, float]) -> str:
-    """Return why the way home is not the straight one, if it is not."""
+    """Return in words why the way home is not straight; empty if it is straight."""
     if known.get(_RALLY, 0.0) > 0.0:
         return f"the vehicle has rally points (RALLY_TOTAL {known[_RALLY]:g}): it may return to one of them"
     if known.get(_TERRAIN, 0.0) > 0.0:

@@ -1,11 +1,11 @@
-"""The mission protocol as it passes: which mission the autopilot holds, put together from other programs' transfers.
+"""The mission protocol, overheard: which mission the autopilot has, by the transfers of other programs.
 
-    download   autopilot: MISSION_COUNT, then MISSION_ITEM(_INT) as they are asked for: whole when every item was heard
-    upload     another: MISSION_COUNT, MISSION_ITEM(_INT); counts when the autopilot has answered MISSION_ACK accepted
-    partly     another: MISSION_WRITE_PARTIAL_LIST, some items; counts likewise
-    clearing   another: MISSION_CLEAR_ALL; counts likewise
+    download   autopilot: MISSION_COUNT, then MISSION_ITEM(_INT) on request; complete when every item was heard
+    upload     station: MISSION_COUNT, MISSION_ITEM(_INT); counts after MISSION_ACK accepted of the autopilot
+    partial    station: MISSION_WRITE_PARTIAL_LIST, some items; counts after the same
+    clearing   station: MISSION_CLEAR_ALL; counts after the same
 
-An upload that breaks off leaves the autopilot with a mixture: the old mission stays, and is said to be in transfer.
+An upload that breaks off leaves a mixture in the autopilot: the old mission is kept, marked as in transfer.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_ITEMS = 5000
 
 
 class Transfer:
-    """Transfer follows one transfer of a mission, and knows what came of those before."""
+    """Transfer follows one transfer of a mission; it remembers if the one before broke off."""
 
     def __init__(self) -> None:
         self._count: int | None = None
@@ -35,7 +35,7 @@ class Transfer:
 
     @property
     def is_open(self) -> bool:
-        """Return True if a mission is passing, or one that passed was left half written."""
+        """Return True if a mission is being transferred, or if an upload broke off."""
         return self._count is not None or self._in_doubt
 
     def is_others(self, time_s: float) -> bool:
@@ -48,18 +48,18 @@ class Transfer:
 
     @property
     def missing(self) -> int | None:
-        """Return the first item of an open download that was not heard yet; None without one."""
+        """Return the number of the first missing item of an open download; None without one."""
         if self._count is None or self._is_upload:
             return None
         return next((seq for seq in range(self._count) if seq not in self._items), None)
 
     def passes(self, time_s: float) -> None:
-        """Note that it is `time_s` [s] now: a transfer that has been silent for more than TRANSFER_SILENT_S is over."""
+        """End a transfer that has been silent for more than TRANSFER_SILENT_S; `time_s` : the time now [s]."""
         if self._count is not None and time_s - self._heard_s > TRANSFER_SILENT_S:
             self._end(in_doubt=self._in_doubt or (self._is_upload and bool(self._items)))
 
     def begins(self, time_s: float, count: int, is_upload: bool, old: Sequence[MissionItem] = ()) -> None:
-        """Begin a transfer of `count` items; those of `old` stay as they are."""
+        """Begin a transfer of `count` items; items of `old` that are not sent stay."""
         if count > MOST_ITEMS:
             return
         self._in_doubt = self._in_doubt or (self._is_upload and bool(self._items) and self._count is not None)
@@ -68,7 +68,7 @@ class Transfer:
         self._items = {item.seq: item for item in old}
 
     def takes(self, time_s: float, item: MissionItem, is_upload: bool) -> None:
-        """Take an item in, if it belongs to the transfer that is open."""
+        """Take an item, if it belongs to the open transfer."""
         if self._count is None or is_upload is not self._is_upload or item.seq >= self._count:
             return
         self._items[item.seq] = item
@@ -76,19 +76,19 @@ class Transfer:
         self._written_s = time_s if is_upload else self._written_s
 
     def clears(self, time_s: float) -> None:
-        """Note that another program asks the autopilot to forget its mission."""
+        """Note that another program asks the autopilot to delete its mission."""
         self._is_clearing, self._heard_s, self._written_s = True, time_s, time_s
 
     def whole(self, source: str, has_home_item: bool) -> Mission | None:
-        """Return the mission of a download once it is whole, else None."""
+        """Return the mission of a download once it is complete, else None."""
         return None if self._is_upload else self._finished(source, has_home_item)
 
     def explains_acknowledgement(self, time_s: float) -> bool:
-        """Return True if a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
+        """Return True if an acknowledgement at `time_s` [s] may belong to a transfer that was heard."""
         return self._is_clearing or time_s - self._written_s <= TRANSFER_SILENT_S
 
     def acknowledged(self, result: int, source: str, has_home_item: bool) -> Mission | None:
-        """Return the mission that the autopilot has accepted, if this acknowledgement is of one."""
+        """Return the mission that the autopilot has accepted with this acknowledgement; None if there is none."""
         if self._is_clearing:
             self._is_clearing = False
             if result == ACCEPTED:

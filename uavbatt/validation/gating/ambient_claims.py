@@ -2,9 +2,9 @@
 
 One run has no dispersion, so that it decides nothing: its bias is shown and the verdict is not enough data. Runs one
 degree apart are nearly repeats (`series`): their scatter about a line in temperature gives the bias an interval. That
-scatter is of one series of one pack. How far that series lies from the repeats where both were tested enters the
-guard band (rectangular, per instant); where it was not tested there, nothing can be said. Repeats at a second
-temperature are one claim without a verdict: their runs were not held out by occasion.
+scatter is of one series of one pack. The distance of that series from the repeats, at the temperature where both were
+tested, enters the guard band (rectangular, per instant); without such a test nothing can be said. Repeats at a second
+temperature are one claim without a verdict, because their runs were not held out by occasion.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from uavbatt.dataset import DataSet
 from uavbatt.validation.gating import budget
 from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
 from uavbatt.validation.gating.gate import Claim, Limits, Verdict, before_limiter
-from uavbatt.validation.gating.heldout import HeldOut, Single
+from uavbatt.validation.gating.heldout import HeldOut, HeldOutRun
 from uavbatt.validation.judging.readings import Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
@@ -39,16 +39,16 @@ def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Cl
     return claims
 
 
-def _single(single: Single, readings: Readings, held: HeldOut, limits: Limits) -> Claim:
-    """The claim of one run: as one of its near repeats where it has some, else alone."""
+def _single(single: HeldOutRun, readings: Readings, held: HeldOut, limits: Limits) -> Claim:
+    """Return the claim of one run: together with its near repeats if it has some, else alone."""
     dataset, group = readings.dataset, readings.near_repeats_at(single.ambient_C)
     if group is None or not np.array_equal(group.time_s, single.time_s):
         return _one_run(dataset, single, limits)
     return _near_repeats(dataset, held, single, group, limits, bool(readings.broken))
 
 
-def _several_runs(dataset: DataSet, runs: list[Single], limits: Limits) -> Claim:
-    """The claim of repeats at a temperature that is not the gated one: their mean bias, no verdict."""
+def _several_runs(dataset: DataSet, runs: list[HeldOutRun], limits: Limits) -> Claim:
+    """Return the claim of repeats at a temperature that is not gated: their mean bias, without a verdict."""
     time_s = runs[0].time_s
     differences = np.array([np.interp(time_s, s.time_s, s.model_V - s.measured_V) for s in runs])
     mean_V = np.mean([np.interp(time_s, s.time_s, s.measured_V) for s in runs], axis=0)
@@ -64,7 +64,7 @@ def _several_runs(dataset: DataSet, runs: list[Single], limits: Limits) -> Claim
                  limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
 
 
-def _one_run(dataset: DataSet, single: Single, limits: Limits) -> Claim:
+def _one_run(dataset: DataSet, single: HeldOutRun, limits: Limits) -> Claim:
     at = before_limiter(single.measured_V, limits, dataset.cutoff_V)
     bias = (single.model_V - single.measured_V)[at]
     unknown = np.full(bias.size, math.nan)
@@ -76,7 +76,7 @@ def _one_run(dataset: DataSet, single: Single, limits: Limits) -> Claim:
 
 
 def _near_repeats(
-    dataset: DataSet, held: HeldOut, single: Single, group: QuasiReplicates, limits: Limits, broken: bool
+    dataset: DataSet, held: HeldOut, single: HeldOutRun, group: QuasiReplicates, limits: Limits, broken: bool
 ) -> Claim:
     line = group.line(single.ambient_C)
     at = before_limiter(line, limits, dataset.cutoff_V)
@@ -108,7 +108,7 @@ def _shown(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     return "not enough data", said
 
 
-def _series_offset(dataset: DataSet, held: HeldOut, single: Single) -> Array:
+def _series_offset(dataset: DataSet, held: HeldOut, single: HeldOutRun) -> Array:
     """Return how far the series of a one-time test lies from the repeats where both were tested [V] per instant.
 
     0 for a sample that was itself repeated; NaN when the series has no test at the repeated temperature.

@@ -3,17 +3,17 @@
     expanded = t(ν)·u,  u² = u_A² + u_B²,  ν = (n-1)·u⁴/u_A⁴          (GUM G.4, Welch-Satterthwaite)
 
 u_A is the scatter of the occasions (type A, n-1 degrees of freedom). u_B is what that scatter cannot show (type B, its
-degrees of freedom taken as infinite): calibration, resolution, the instant of reading, and a drift over the runs, of
-which nobody knows at which end the next flight stands. t is one-sided at 5 %, shared out over the instants
-(Bonferroni). The guard band for the instruments, as if it stood alone, is 1.645·u_B.
+degrees of freedom taken as infinite): calibration, resolution, the instant of reading, and a drift over the runs, as
+the next flight may be at either end of it. t is one-sided at 5 %, divided over the instants (Bonferroni). The guard
+band of the instruments alone is 1.645·u_B.
 
-With few occasions t(ν)·u has a fault: a little u_B lets ν grow so fast that t falls by more than u rises, and doubt
-would buy a pass. So the half width is never less than that of the scatter alone, t(n-1)·u_A.
+With few occasions t(ν)·u has a fault: a small u_B lets ν grow so fast that t falls by more than u rises, so that a
+larger uncertainty would turn into a pass. So the half width is never less than that of the scatter alone, t(n-1)·u_A.
 
-Rows that the data set does not state are assumed, never left at zero, and say so. A hand that reads at the whole
-minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together, so that
-nothing is divided by √n although part of it shows in the scatter too: counted twice on purpose. An error of the
-ammeter has no row: the model is fitted with that ammeter and takes it up.
+Values that the data set does not state are assumed, never left at zero, and their rows say so. A person who reads at
+the whole minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together,
+so that it is not divided by √n; the part of it in the scatter is counted twice on purpose. An error of the ammeter has
+no row, because the model is fitted with that ammeter and contains its error.
 """
 
 from __future__ import annotations

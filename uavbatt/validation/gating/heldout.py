@@ -1,8 +1,8 @@
 """Predictions of runs that the model was not fitted to: one occasion (run k of all samples) is left out at a time.
 
-Runs of one occasion share their day and set-up, so that they leave together: what stays would tell about what left.
-The single runs at other ambient temperatures are shared out over the same folds, so that each of them too is
-predicted by a fit that has not seen it.
+Runs of one occasion share their day and set-up, so that they are left out together: otherwise the others would contain
+information about them. The single runs at other ambient temperatures are divided over the same folds, so that each of
+them is also predicted by a fit without it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Single:
+class HeldOutRun:
     """A run at another ambient temperature is predicted by a fit without it; [s], [V]."""
 
     ambient_C: float
@@ -69,7 +69,7 @@ class HeldOut:
     step_V: float = 0.0
     rest: tuple[bool, ...] = ()
     curves: tuple[Curve, ...] = ()
-    singles: tuple[Single, ...] = ()
+    singles: tuple[HeldOutRun, ...] = ()
 
     def residual_V(self) -> Array:
         """Return model minus measured [V], [occasion, level], the mean over the samples of an occasion."""
@@ -170,7 +170,7 @@ class _Fold:
     volts: Array
     surface: Array
     curves: list[Curve]
-    singles: list[Single]
+    singles: list[HeldOutRun]
 
 
 def smallest_step(runs: tuple[Run, ...]) -> float:
@@ -205,7 +205,7 @@ def _unmetered_fold(levels: Levels, test: MeanTest, found: Posterior, others: li
     volts, surface = predicted(levels.ambient_C, levels.time_s)
     shape = (len(levels.samples), levels.time_s.size)
     singles = [
-        Single(r.ambient_C, r.sample, r.time_s, r.voltage_V, predicted(r.ambient_C, r.time_s)[0]) for r in others
+        HeldOutRun(r.ambient_C, r.sample, r.time_s, r.voltage_V, predicted(r.ambient_C, r.time_s)[0]) for r in others
     ]
     return _Fold(np.broadcast_to(volts, shape), np.broadcast_to(surface, shape), [], singles)
 
@@ -230,7 +230,7 @@ def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[
         model, phase = run.voltage_V[rows, j] * stack.cells[j], fast_records.phases(stack.current_A[rows, j])
         own = fast_records.weights(time_s, phase, time_s)
         if test in others:
-            singles.append(Single(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
+            singles.append(HeldOutRun(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
             continue
         at, w = levels.samples.index(test.sample), fast_records.weights(time_s, phase, levels.time_s)
         volts[at] = levels.values[k, at] + w @ (model - measured)
@@ -241,7 +241,7 @@ def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[
 
 
 def _aligned(levels: Levels, surface: Levels | None) -> Array | None:
-    """Surface temperature on the voltage's occasions, samples and instants; None when there is none."""
+    """Return the surface temperature at the occasions, samples and instants of the voltage; None if not measured."""
     if surface is None:
         return None
     out = np.full(levels.values.shape, np.nan)

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Run
-from uavbatt.validation.gating.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
+from uavbatt.validation.gating.heldout import Curve, HeldOut, HeldOutRun, other_runs, repeats, rest_at, smallest_step
 from uavbatt.validation.judging import fast_records
 from uavbatt.validation.judging.readings import Readings
 
@@ -156,7 +156,7 @@ def held_out(readings: Readings) -> HeldOut:
             block = blocks.index(number(run)) if number(run) in blocks else 0
             t = run.time_s - starts[run.sample, run.run, run.ambient_C]
             model = found.voltage(t, np.full(t.size, run.ambient_C), block)
-            singles.append(Single(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
+            singles.append(HeldOutRun(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
         model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,

@@ -1,4 +1,4 @@
-"""Closing the loop on one-time tests over ambient temperature shows what an isothermal model leaves, and what mends it.
+"""One-time tests over ambient temperature: the error of an isothermal model, and which extension reduces it.
 
 The isothermal model is gated first, at the temperature that has repeats, and its residual over temperature shown.
 Then the terms that could explain the residual are added one by one (`cold_model`): self-heating, a resistance that

@@ -73,8 +73,8 @@ class Corridor:
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
-    """Shared holds `table[occasion, sample, level]` without gaps; `notes` name what was left out for that."""
+class SharedTable:
+    """SharedTable holds `table[occasion, sample, level]` without gaps; `notes` name what was left out for that."""
 
     table: Array
     occasions: tuple[int, ...]
@@ -96,7 +96,7 @@ class LeaveOneOut:
     share_all: float
 
 
-def shared_table(levels: Levels) -> Shared:
+def shared_table(levels: Levels) -> SharedTable:
     """Cut repeated runs to the occasions that all samples share, and name what was left out to get there.
 
     A sample with less than half of the runs of the longest is left out rather than the occasions it lacks; samples
@@ -114,11 +114,11 @@ def shared_table(levels: Levels) -> Shared:
         missed = len(levels.occasions) - len(complete)
         notes += [f"{missed} occasions left out that not all samples share"] * bool(missed)
         occasions = tuple(levels.occasions[i] for i in complete)
-        return Shared(levels.values[complete][:, kept], occasions, names, tuple(notes))
+        return SharedTable(levels.values[complete][:, kept], occasions, names, tuple(notes))
     tables = [levels.curves(j) for j in kept]
     n = min(len(t) for t in tables)
     notes.append("the samples share no occasions: their runs are taken in order")
-    return Shared(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
+    return SharedTable(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
 def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed: int = 5725) -> Corridor | None:

@@ -1,10 +1,10 @@
-"""A fast record is read at an instant so that one noisy row stands neither for the battery nor for the model.
+"""Reading of fast records at whole minutes, so that one noisy row does not decide.
 
 A record sampled faster than once a minute is read at the whole minutes by a straight line through the rows within
-±WINDOW_S/2, the mean where there are fewer than four. A window never reaches across a load step: rest and load do not
-average to anything. An instant whose own side of the step has no row is left out of every run at that temperature.
-Measured and predicted voltage are read by the same weights, so that reading cannot make a bias. Hand-read tables stay
-as they are.
+±WINDOW_S/2, or by their mean if there are fewer than four. A window never includes both sides of a load step, because
+the mean of rest and load has no meaning. An instant without a row on its own side of the step is left out of every run
+at that temperature. Measured and predicted voltage are read with the same weights, so that reading cannot make a bias.
+Tables that were read by hand are unchanged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Findings: the tests judged by themselves, computed from the data set and said in words that a pilot understands.
+"""Findings about the tests themselves, computed from the data set, in words that a pilot understands.
 
-Nothing here knows the study's numbers; each function looks for one thing in any data set and returns what it finds,
-or nothing. `detail` carries the numbers and the test behind the words, `numbers` the same for programs.
+Each function looks for one thing in any data set and returns its findings; none uses numbers of the study. `detail` has
+the numbers and the statistical test, `numbers` the same for programs.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
         f"instant alone {band.covers_one:.0%}. To hold 95 % throughout takes ±{band.simultaneous_factor:.2f} SD."
     )
     numbers = {"held": held, "total": total, "share": left.share_all, "simulated": band.covers_all}
-    # true of every band that holds 95 % at one instant: what it means must be known, and speaks against no test
+    # true of every band that holds 95 % at one instant: the reader must know it, but it is no fault of the tests
     yield Finding("corridor_coverage", title, detail, "note", numbers)
 
 

@@ -85,7 +85,7 @@ def _orders(n: int, count: int, seed: int) -> NDIndex:
 
 
 def _identical(a: Array, b: Array, resolution: float) -> Array:
-    """How many readings of run i of `a` and run j of `b` are the same, to half a `resolution`: [i, j]."""
+    """Return the number of equal readings (to half a `resolution`) of run i of `a` and run j of `b`: [i, j]."""
     out: Array = (np.abs(a[:, None] - b[None]) <= max(resolution / 2.0, 1e-9)).sum(axis=2).astype(float)
     return out
 

@@ -1,4 +1,4 @@
-"""A data set read once: the value that every judgement and every gate takes, so that nothing is worked out twice.
+"""A data set, read once: the value that all judgements and gates use, so that nothing is worked out twice.
 
 DataSet -> Readings -> (findings | corridor | held-out predictions) -> claims -> verdict -> battery file
 """

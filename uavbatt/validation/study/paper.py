@@ -1,8 +1,8 @@
 """The study's method replayed column by column, and its agreement with the tables it prints.
 
 Equations (1)-(17) live in `paper_equations`. Voltage needs Tables 2 and 6 only. The surface temperatures of sample
-2 are not printed: Table 9 gives its means away, and equation (17) with the 0.1 °C lattice of the readings gives its
-sum of squares (`rebuild`). Agreement is counted by printed figure; every slip is named.
+2 are not printed: Table 9 implies its means, and equation (17) with the 0.1 °C lattice of the readings implies its
+sum of squares (`rebuild`). Agreement is counted by printed figure; every difference is named.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class ColumnFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class Pooled:
-    """Pooled holds equations (8)-(17) evaluated over the samples at one instant; V or °C by `quantity`.
+class PooledResults:
+    """PooledResults holds equations (8)-(17) evaluated over the samples at one instant; V or °C by `quantity`.
 
     `share_beyond_R` is NaN where single results are not known.
     `may_pool` is the study's own rule: t <= t_kr and F <= F_kr, with F the ratio of variances that the table
@@ -100,8 +100,8 @@ class PaperReplay:
     ambient_C: float
     samples: tuple[str, ...]
     columns: tuple[ColumnFigures, ...]
-    pooled: tuple[Pooled, ...]
-    pooled_surface: tuple[Pooled, ...]
+    pooled: tuple[PooledResults, ...]
+    pooled_surface: tuple[PooledResults, ...]
     agreements: tuple[Agreement, ...]
     fisher: FisherClaim | None
     notes: tuple[str, ...]
@@ -122,7 +122,7 @@ def column(sample: str, quantity: str, time_s: float, x: Array) -> ColumnFigures
     return ColumnFigures(sample, quantity, time_s, eq.eq3_mean(x), eq.eq4_sd(x), ratio, drifts, sigma_r, r, beyond)
 
 
-def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, results: Array | None) -> Pooled:
+def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, results: Array | None) -> PooledResults:
     """Evaluate equations (8)-(17) from the sample means and variances; `results` for (13), if they are known."""
     high, low = int(np.argmax(means)), int(np.argmin(means))
     t = eq.eq10_student(means[high], variances[high], means[low], variances[low], n) if high != low else 0.0
@@ -136,11 +136,11 @@ def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, r
     may_pool = bool(t <= t_kr and (sds.max() == 0 or not f_kr < F))
     ratios = (float(t), t_kr, float(printed), float(F), f_kr)
     found = (*ratios, may_pool, sigma_R, R, beyond, mean, S2, eq.corridor_half_width(S2))
-    return Pooled(quantity, time_s, tuple(means.tolist()), tuple(variances.tolist()), *found)
+    return PooledResults(quantity, time_s, tuple(means.tolist()), tuple(variances.tolist()), *found)
 
 
 def _complete(levels: Levels) -> tuple[list[Array], tuple[str, ...]]:
-    """The samples' tables cut to the number of runs that all have (the formulas know one n only)."""
+    """Return the samples' tables cut to the number of runs that all have, as the formulas need one n."""
     tables = [levels.curves(j) for j in range(len(levels.samples))]
     n = min(len(t) for t in tables)
     note = f"{levels.quantity}: samples cut to their first {n} runs, the study's formulas need equal numbers"
@@ -166,7 +166,7 @@ def replay_levels(name: str, volts: Levels, heat: Levels | None) -> PaperReplay:
         raise _too_few(ambient_C)
     columns = _columns(volts, tables)
     pooled = _pooled(volts, tables)
-    surface: tuple[Pooled, ...] = ()
+    surface: tuple[PooledResults, ...] = ()
     if heat is not None and len(heat.occasions) >= 3:
         warm, more = _complete(heat)
         columns, surface, notes = columns + _columns(heat, warm), _pooled(heat, warm), notes + more
@@ -198,7 +198,7 @@ def _columns(levels: Levels, tables: list[Array]) -> tuple[ColumnFigures, ...]:
     )
 
 
-def _pooled(levels: Levels, tables: list[Array]) -> tuple[Pooled, ...]:
+def _pooled(levels: Levels, tables: list[Array]) -> tuple[PooledResults, ...]:
     if len(tables) < 2:
         return ()
     n, found = len(tables[0]), []
@@ -222,7 +222,7 @@ def lattice_sum_of_squares(target: float, tolerance: float, mean: float, n: int)
     return ss if abs(ss - target) <= tolerance else None
 
 
-def rebuild(first: Array, printed: dict[str, Any]) -> tuple[Pooled, ...]:
+def rebuild(first: Array, printed: dict[str, Any]) -> tuple[PooledResults, ...]:
     """Rebuild Table 9: sample 2's mean is 2x̄ - x̄_1, its variance follows from (17) and the lattice.
 
     `first`: sample 1's temperatures, run x minute [°C]. A minute without a lattice solution gets a NaN variance.
@@ -264,7 +264,7 @@ def _compare(table: str, rows: dict[str, tuple[list[str], list[float], int | Non
     return Agreement(table, total - len(slips), total, tuple(slips), counted)
 
 
-def _table8(pooled: tuple[Pooled, ...], printed: dict[str, Any]) -> Agreement:
+def _table8(pooled: tuple[PooledResults, ...], printed: dict[str, Any]) -> Agreement:
     rows = printed["table8"]
     counted = ("9 means to 0.01 V (the third printed digit is a padded zero and up to 5 mV wrong), "
                "9 variances and 9 half-widths to their printed digits")  # fmt: skip
@@ -275,7 +275,7 @@ def _table8(pooled: tuple[Pooled, ...], printed: dict[str, Any]) -> Agreement:
     }, counted)  # fmt: skip
 
 
-def _table9(pooled: tuple[Pooled, ...], printed: dict[str, Any]) -> Agreement:
+def _table9(pooled: tuple[PooledResults, ...], printed: dict[str, Any]) -> Agreement:
     rows = printed["table9"]
     counted = ("9 means and 9 variances agree if readings of sample 2 on the 0.1 °C lattice can give them (a test of "
                "consistency, not of prediction); 9 half-widths C = 2√S² to their printed digits")  # fmt: skip
@@ -287,7 +287,7 @@ def _table9(pooled: tuple[Pooled, ...], printed: dict[str, Any]) -> Agreement:
     }, counted)  # fmt: skip
 
 
-def _fisher_claim(pooled: tuple[Pooled, ...], printed: dict[str, Any]) -> FisherClaim:
+def _fisher_claim(pooled: tuple[PooledResults, ...], printed: dict[str, Any]) -> FisherClaim:
     ratios = [f for p in pooled for f in (p.F_printed, p.F)]
     nearest = min(ratios, key=lambda f: abs(f - printed["F_emp"]))
     first, same = pooled[0], bool(meets(f"{printed['F_emp']:.2f}", nearest))
