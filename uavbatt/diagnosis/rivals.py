@@ -20,7 +20,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
 TWIN_SHARE = 0.1  # of what an effect explains: two names of it leave within that of each other
-RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth, or of how likely it is: less is no rival
+RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth or explains, or of how likely it is: less is no rival
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
 FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
 # Effects of one family are hardly told apart: two of them together only cancel each other.
