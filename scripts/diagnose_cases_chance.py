@@ -21,8 +21,7 @@ from uavbatt.diagnosis.candidates import NOTHING, candidates
 from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.search import EARNED
-from uavbatt.diagnosis.trial import FIRST_TURNS, trial
+from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, trial
 from uavbatt.fitting.observed import Observed
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"

@@ -15,7 +15,7 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import pairs
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.candidates import NOTHING, Candidate
-from uavbatt.diagnosis.diagnosis import FAR, problem_of, times_expected
+from uavbatt.diagnosis.diagnosis import FAR, floor_V, problem_of, times_expected
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.residual import residuals
@@ -79,5 +79,13 @@ def test_a_residual_is_held_against_the_error_that_the_model_has_there() -> None
     for one in (warm, cold):
         after = residuals(one.evidence, at_best(one, refit(one, [NOTHING])[0]))
         off = [replace(r, voltage_V=np.full_like(r.voltage_V, 0.25)) for r in after]
-        told.append(times_expected(one, off))
+        told.append(times_expected(one, KNOWN, off))
     assert told[0] > FAR > told[1]
+
+
+def test_a_file_that_has_learned_no_more_states_one_error_for_all() -> None:
+    one = problem(3.0)
+    file = msgspec.structs.replace(KNOWN, discrepancy=msgspec.structs.replace(KNOWN.discrepancy, wander=None))
+    after = residuals(one.evidence, at_best(one, refit(one, [NOTHING])[0]))
+    off = [replace(r, voltage_V=np.full_like(r.voltage_V, 0.25), flatness=np.ones_like(r.voltage_V)) for r in after]
+    assert times_expected(one, file, off) == pytest.approx(0.25 / floor_V(file, one))

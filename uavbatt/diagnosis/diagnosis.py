@@ -115,7 +115,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = doubts(problem, findings, best, left)
+    reasons = doubts(problem, file, findings, best, left)
     found = tuple(class_of(problem, f, believed(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -210,11 +210,14 @@ def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
     return LeftPerNumber(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def times_expected(problem: Problem, after: list[Residual]) -> float:
+def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
     """Return the voltage residual under load as a multiple of the error that the model is expected to have there.
 
-    Chi-square per number hardly sees what lasts for a whole flight, which is one error to it.
+    Chi-square per number hardly sees what lasts for a whole flight, which is one error to it. A file that has not
+    learned where its error is large states one for all.
     """
+    if file.discrepancy.wander is None:
+        return residual.size_V(after) / floor_V(file, problem)
     shares = [r.voltage_V / v.sd for r, v in zip(after, problem.evidence.volts, strict=True)]
     return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
 
@@ -224,7 +227,9 @@ def believed(left: LeftPerNumber, reasons: tuple[str, ...]) -> float:
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
-def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: LeftPerNumber) -> tuple[str, ...]:
+def doubts(
+    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: LeftPerNumber
+) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 
     left : chi-square per number (`left_per_number`).
@@ -238,7 +243,7 @@ def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Lef
             f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
             f"about {shape.time_scale_s:.0f} s"
         )
-    elif findings and (times := times_expected(problem, after)) > FAR:
+    elif findings and (times := times_expected(problem, file, after)) > FAR:
         found.append(
             f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {times:.1f} times what this "
             "battery's model leaves there: what is named is the smaller part of it, or none"

@@ -98,7 +98,7 @@ def follow(
         best = trace.effect.members[0]
     tell("residual")
     left = left_per_number(problem, best)
-    why = doubts(problem, [t.effect for t in traces], best, left)
+    why = doubts(problem, file, [t.effect for t in traces], best, left)
     verdict: Verdict = "undeclared_effect" if why else "effect_found" if traces else "no_missing_effect"
     return Follow(
         verdict=verdict,

@@ -14,15 +14,14 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.rivals import family, related
-from uavbatt.diagnosis.trial import EARNED_EACH, FURTHER_TURNS, Trial, likeliness
+from uavbatt.diagnosis.rivals import RIVAL_SHARE, family, related
+from uavbatt.diagnosis.trial import EARNED, FURTHER_TURNS, Trial, likeliness
 from uavbatt.diagnosis.worth import at_bound, is_steady, left_out_chi2, worth
 
 EARNED_BESIDE = 12.0  # the lesser of two, where two leave EARNED_TOGETHER less; what leaves more may be worth less
 EARNED_IN_PART = 24.0  # each of two, beside a start in part
 EARNED_TOGETHER = 36.0  # chi-square by which two, or one that drifts, leave less than the best single effect
 SEEDS, SEEDS_IN_ALL = 4, 7  # singles that pairs are built on: by what they explain, and with the other families
-SEED_SHARE = 0.3  # of what the best explains: the least of a seed
 TRIED = 12  # pairs that are weighed against each other
 
 
@@ -43,7 +42,7 @@ class Pair:
 def asked_of_each(problem: Problem, pair: Candidate) -> float:
     """Return what each of two effects must be worth: more beside a start in part, which the file has never seen."""
     in_part = "initial_charge" in pair.names or problem.evidence.charged_in_part.any()
-    return EARNED_IN_PART if in_part else EARNED_EACH
+    return EARNED_IN_PART if in_part else EARNED
 
 
 def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Pair | None:
@@ -65,7 +64,7 @@ def _seeds(singles: Trial) -> list[Refit]:
     the two missing effects are a sensor error and a loss of capacity.
     """
     gains = [singles.before.total - f.total for f in singles.fits]
-    promising = [f for f, g in zip(singles.fits, gains, strict=True) if g > SEED_SHARE * gains[0]]
+    promising = [f for f, g in zip(singles.fits, gains, strict=True) if g > RIVAL_SHARE * gains[0]]
     seeds = promising[:SEEDS]
     for fit in promising[SEEDS:]:
         known = [name for seed in seeds for name in seed.candidate.names]

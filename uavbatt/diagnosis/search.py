@@ -17,11 +17,9 @@ from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETH
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
-from uavbatt.diagnosis.trial import EARNED_EACH, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
+from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
 from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, worth
 
-EARNED = 3.0  # more than chance gave in 140 effect-free sets, 2.84: docs/diagnosis.md
-SMALL = 1.5  # what may hide where nothing is told: one healthy set in twenty shows more
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a model that is doubted
 SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
@@ -93,14 +91,14 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
         found = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
         share = max(pair.share(member.candidate.name) for member in found.members)
         both.append(replace(found, probability=min(found.probability, share)))
-    if any(f.worth.value < EARNED_EACH for f in both):
+    if any(f.worth.value < EARNED for f in both):
         return []
     return sorted(both, key=lambda f: -f.worth.value)
 
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
     """Return a small effect that may be present although none was found; None if the records look like healthy ones."""
-    if not SMALL < singles.largest_worth < EARNED:
+    if not 0.5 * EARNED < singles.largest_worth < EARNED:
         return None
     return finding(problem, replace(singles, least=0.5 * singles.largest_worth), EVEN)
 
