@@ -211,3 +211,9 @@ def test_what_changes_of_a_fitted_curves_error_is_what_the_flight_doubts(make: M
     error_V = model.open_circuit_voltage(made.cell, soc) - np.interp(soc, SOC, make.ocv_V)
     stated_V, doubted_V = (np.interp(soc, model.SOC_GRID, sd) for sd in (made.ocv_sd_V, made.ocv_drift_sd_V))
     assert 0.3 * np.mean(doubted_V) < np.std(error_V) < 1.5 * np.mean(doubted_V) < 0.75 * np.mean(stated_V)
+
+
+def test_the_lift_of_a_vtol_comes_again() -> None:
+    """It cruises at a quarter of the power of its lift, which ends the flight: the 5 % point was 122 s too long."""
+    flights = [c for c in wrong_cases.by_turns(6) if (c.battery, c.capacity_class) == (GENERIC, "VTOL")]
+    assert max(wrong_judged.judged(flight).lo_excess_s for flight in flights) < 60.0
