@@ -74,12 +74,12 @@ class Progress(NamedTuple):
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
-        """Whether the aircraft keeps its velocity, by that of a second ago."""
+        """Return the progress with the fact if the aircraft keeps its velocity, by that of a second ago."""
         is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
         return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:
-        """The leg by what the autopilot says that it flies to, and the timing of those behind."""
+        """Return the progress with the leg that the autopilot flies to, and with the timing of the legs behind."""
         if navigation.mission is None or navigation.home is None:
             return self
         moved, known_by = self, (navigation.mission, navigation.home, navigation.settings)
