@@ -151,3 +151,10 @@ def test_the_vehicle_file_keeps_the_speeds_that_the_parameters_say() -> None:
     found = speeds([flight(), replace(flight(), navigation=(*flight().navigation, known))])
     assert found == Speeds(cruise_ms=7.5, return_height_m=0.0)
     assert speeds([flight()]) is None
+
+
+def test_the_fit_says_up_to_which_airspeed_it_has_learned() -> None:
+    found = powers([flight()])
+    assert found is not None and found.fastest_ms == pytest.approx(15.0, abs=0.2)
+    slow = powers([joined(flown_at(0.0, 200, 1.0), flown_at(5.0, 200, 1.0))])
+    assert slow is not None and slow.fastest_ms == 10.0  # up to which other aircraft tell the law

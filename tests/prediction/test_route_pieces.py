@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
@@ -90,3 +91,21 @@ def test_the_power_of_a_turn_tells_no_payload() -> None:
         return progress.lessons.level(POWERS)[0]
 
     assert level(300.0) == pytest.approx(level(160.0), abs=1e-6)
+
+
+def spread_at(airspeed_ms: float, fastest_ms: float | None) -> float:
+    """Relative sd between the scenarios of the power of a piece at an airspeed; the law was learned up to another."""
+    one = Way(wind=(SPEED_MS - airspeed_ms, 0.0)).pieces(path(mission(to(1, 2000.0, 0.0, 30.0)), HOME, FAST).table)
+    there = one.of(one.seq == 1).of(slice(-1, None))
+    powers = msgspec.structs.replace(POWERS, fastest_ms=fastest_ms)
+    load = RouteLoad(ahead=Ahead(Point(0.0, 0.0, 30.0), there), powers=powers, level=1.0, level_sd=0.0)
+    powers_W = load.steady(np.array([5.0])).power_W[0]
+    return float(np.std(np.log(powers_W)))
+
+
+def test_the_power_beyond_the_learned_airspeeds_is_known_less_and_less() -> None:
+    """A vehicle learned below 12 m/s that came home at 20 m/s of air was told to turn 72 s too late."""
+    within, near, far = (spread_at(v, fastest_ms=12.0) for v in (11.0, 15.0, 20.0))
+    assert within == pytest.approx(POWERS.fast_sd, rel=0.02)
+    assert 1.5 * within < near < far / 1.5
+    assert spread_at(20.0, fastest_ms=20.0) == spread_at(20.0, fastest_ms=None) == pytest.approx(within)

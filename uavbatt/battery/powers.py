@@ -29,6 +29,7 @@ from uavbatt.battery.model import Array
 
 DRAG_AT_MS = 10.0
 FAST_MS = 8.0
+MOST_BEYOND = 4.0
 TURN_S = 5.0  # in which an aircraft turns and has its new speed: 4 to 6 s on the flights of a simulated quadrotor
 GRAVITY_MS2 = 9.81
 TERMS = ("induced", "drag", "climb", "descent", "fast_climb", "fast_descent", "take_off", "landing")
@@ -42,6 +43,7 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     `climb` and `descent` are per m/s; the spreads are relative standard deviations between flights (`level_sd`: payload
     and pack; `fast_sd`: wind and attitude in fast flight or climb) and from row to row within a leg (`row_sd`).
+    `fastest_ms` is the airspeed [m/s] up to which the law was learned; None if nobody has recorded it.
     """
 
     hover_W: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
@@ -57,6 +59,7 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     level_sd: Spread = 0.08
     fast_sd: Spread = 0.10
     row_sd: Spread = 0.10
+    fastest_ms: Annotated[float, msgspec.Meta(ge=1.0, le=300.0)] | None = None
     flights: Annotated[int, msgspec.Meta(ge=0)] = 0
     seconds: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
 
@@ -68,7 +71,7 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 # An unknown aircraft: momentum theory with 60 % of the hover power induced, and the slopes of the measured multirotors.
 # `hover_W` is set from the power flown so far.
-UNKNOWN = Powers(hover_W=1.0, level_sd=0.12, fast_sd=0.15)
+UNKNOWN = Powers(hover_W=1.0, level_sd=0.12, fast_sd=0.15, fastest_ms=15.0)
 PRIOR_SD = np.array([0.15, 0.15, 0.03, 0.03, 0.05, 0.05, 0.08, 0.08])  # of the shares, between aircraft
 
 
@@ -102,6 +105,16 @@ def power(powers: Powers, columns: Array, level: float = 1.0) -> Array:
     """Return the power [W] for columns of `terms` at a level; never less than a fifth of the hover's."""
     lifted, dragged = _shares(powers, columns)
     return np.asarray(powers.hover_W * np.maximum(level * lifted + dragged, 0.2 * level))
+
+
+def beyond_learned(powers: Powers, airspeed_ms: Array) -> Array:
+    """Return by how much the power of drag at an airspeed [m/s] exceeds what was learned: (v / fastest)³ - 1, 0 below.
+
+    The law is extrapolated there, and its spread `fast_sd` grows with it; MOST_BEYOND is the largest value.
+    """
+    if powers.fastest_ms is None:
+        return np.zeros_like(airspeed_ms)
+    return np.asarray(np.clip((airspeed_ms / powers.fastest_ms) ** 3 - 1.0, 0.0, MOST_BEYOND))
 
 
 def level_of(powers: Powers, columns: Array, power_W: float) -> float:

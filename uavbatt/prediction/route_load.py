@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.powers import Powers, power, terms, turning_power
+from uavbatt.battery.powers import Powers, beyond_learned, power, terms, turning_power
 from uavbatt.prediction import sampling
 from uavbatt.prediction.load import LOWEST_POWER_W, Now, Scenarios, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
@@ -63,7 +63,7 @@ class RouteLoad:
         """Return the scenarios over steps of `dt_s` [steps] without the noise of rows."""
         levels, fast, stretch = factors(self)
         watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
-        watts *= np.append(fast_shares(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
+        watts *= fast ** np.append(fast_shares(self), 0.0)[:, None]
         edges_s = stretches_s(dt_s)
         drawn_J = _energy_J(self.ahead.pieces.ends_s, watts, edges_s[:, None] / stretch) * stretch
         power_W = np.maximum(np.diff(drawn_J, axis=0) / np.diff(edges_s)[:, None], LOWEST_POWER_W)
@@ -88,10 +88,12 @@ def roughness(load: RouteLoad, wind_ms: float) -> Array:
     return np.hypot(load.powers.row_sd, (faster.flown_W / load.flown_W - 1.0) * GUSTS * wind_ms)
 
 
-def fast_shares(pieces: Pieces) -> Array:
-    """Return how much each piece counts as fast flight or climb, 0..1."""
+def fast_shares(load: RouteLoad) -> Array:
+    """Return how much each piece counts as fast flight or climb, 0..1; more beyond the airspeeds that were learned."""
+    pieces = load.ahead.pieces
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
-    return np.maximum(fast, np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0))
+    steep = np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0)
+    return np.maximum(fast, steep) + beyond_learned(load.powers, pieces.airspeed_ms)
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:

@@ -74,7 +74,7 @@ class Homewards(NamedTuple):
         """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
         levels, fast, _ = scenarios
         power_W, fast_share = self.power_W[k, turns][:, None], self.fast_shares[k, turns][:, None]
-        return np.asarray(power_W * levels * (1.0 + fast_share * (fast - 1.0)))
+        return np.asarray(power_W * levels * fast**fast_share)
 
 
 def turn_instants(longest_s: float) -> Array:
@@ -149,7 +149,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
         pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
-    told = np.stack([pieces.length_s, there.piece_W, fast_shares(pieces), roughness(there, math.hypot(*way.wind))])
+    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), roughness(there, math.hypot(*way.wind))])
     counts = np.bincount(turn_of, minlength=turn_at_s.size)
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]
