@@ -15,10 +15,12 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import pairs
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.candidates import NOTHING, Candidate
-from uavbatt.diagnosis.diagnosis import FAR, floor_V, problem_of, times_expected
+from uavbatt.diagnosis.classes import class_of
+from uavbatt.diagnosis.diagnosis import FAR, floor_V, options_of, problem_of, times_expected
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.residual import residuals
+from uavbatt.diagnosis.search import FoundEffect
 from uavbatt.diagnosis.trial import Trial
 from uavbatt.diagnosis.worth import Worth
 
@@ -89,3 +91,13 @@ def test_a_file_that_has_learned_no_more_states_one_error_for_all() -> None:
     after = residuals(one.evidence, at_best(one, refit(one, [NOTHING])[0]))
     off = [replace(r, voltage_V=np.full_like(r.voltage_V, 0.25), flatness=np.ones_like(r.voltage_V)) for r in after]
     assert times_expected(one, file, off) == pytest.approx(0.25 / floor_V(file, one))
+
+
+def test_a_class_has_values_of_its_members_alone() -> None:
+    one = problem(25.0)
+    options = {o.name: o for o in options_of(one, KNOWN, ())}
+    names = ("charge_transfer", "voltage_offset", "current_gain")  # with the second name of the first these are four
+    fits = tuple(refit(one, [options[n] for n in names], iterations=2))
+    told = class_of(one, FoundEffect(fits, worth_of(20.0), (), 0.8), 0.9)
+    assert told.members == ("charge_transfer", "resistance_growth", "voltage_offset")
+    assert list(told.parameters) == ["transfer_V", "offset_V"]
