@@ -25,12 +25,23 @@ import numpy as np
 CELLS, PARALLEL, CAPACITY_AH = 4, 2.2, 5.016
 IDLE_S, IDLE_A, LONGEST_S = 24.0, 0.27, 2400.0
 EMPTY_CELL_V = 3.2
-POWER_W, AIR_C = (125.0, 190.0), (4.0, 38.0)
 NOISE_V, NOISE_A, NOISE_K, LAG_S, ROW_S = 0.02, 0.25, 0.15, 12.0, 0.5  # of the sensors in the shared truth
 KNOT_S = 2
 FLIGHTS, HEALTHY_GROUPS, HEALTHY_MORE = 3, 7, 27
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Weather bounds the level power [W] of the flights and the air [°C] of each flight of a case."""
+
+    power_W: tuple[float, float]
+    air_C: tuple[tuple[float, float], ...]
+
+
+ANY = Weather((125.0, 190.0), ((4.0, 38.0),) * FLIGHTS)
+SHARED = Weather((150.0, 190.0), ((15.0, 20.0), (6.0, 10.5), (28.0, 32.0)))  # as the labelled cases of the shared truth
 
 
 @dataclass(frozen=True)
@@ -198,7 +209,7 @@ def _drawn(names: tuple[str, ...], size: str, random: np.random.Generator) -> Ca
     return Case("+".join(names), size, cell, sensors)
 
 
-def load_A(random: np.random.Generator) -> Array:
+def load_A(random: np.random.Generator, bounds_W: tuple[float, float]) -> Array:
     """Return a multirotor's current at 1 Hz [A]: legs of a minute or two, gusts of twenty seconds, after the idle."""
     count = int(LONGEST_S)
     legs = np.repeat(random.normal(0.0, 0.09, 60), random.integers(40, 130, 60))[:count]
@@ -206,7 +217,7 @@ def load_A(random: np.random.Generator) -> Array:
     gusts = np.zeros(count)
     for k in range(1, count):
         gusts[k] = 0.95 * gusts[k - 1] + random.normal(0.0, 0.12 * np.sqrt(1.0 - 0.95**2))
-    power_W = random.uniform(*POWER_W) * np.exp(legs + gusts)
+    power_W = random.uniform(*bounds_W) * np.exp(legs + gusts)
     amps = np.empty(count)
     drawn = 0.0
     for k in range(count):
@@ -247,12 +258,16 @@ def _scale(values: dict[str, Callable[..., Any]], name: str, factor: float) -> N
         values[name] = lambda *given: factor * function(*given)
 
 
-def flown(folder: Path, cell: Cell, seed: int) -> Array:
-    """Return time, voltage, current, temperature of one flight of the pack [rows, 4]; read from the folder if there."""
+def flown(folder: Path, cell: Cell, seed: int, weather: Weather = ANY) -> Array:
+    """Return time, voltage, current, temperature of one flight of the pack [rows, 4]; read from the folder if there.
+
+    The last two digits of the seed are the number of the flight in its case, from 1 on.
+    """
     path = folder / f"{'-'.join(f'{v:g}' for v in vars(cell).values())}-{seed}.csv"
     if not path.exists():
         random = np.random.default_rng(seed)
-        amps, air_C = load_A(random), random.uniform(*AIR_C)
+        amps = load_A(random, weather.power_W)
+        air_C = random.uniform(*weather.air_C[(seed % 100 - 1) % FLIGHTS])
         time_s, volts, temps = cell_V(replace(cell, weakest=1.0), amps, air_C)
         pack_V = CELLS * volts
         if cell.weakest < 1.0:
@@ -319,14 +334,15 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shared-weather", action="store_true", help="air and power of the labelled cases")
     given = parser.parse_args()
-    folder, seed, labels = given.folder, given.seed, {}
+    folder, seed, labels, weather = given.folder, given.seed, {}, SHARED if given.shared_weather else ANY
     for number, case in enumerate(drawn(seed) if seed else cases(), start=1):
         name = f"s{seed}x{number:02d}" if seed else f"n{number:02d}"
         first = 1_000_000 * seed + (100 * case.group if case.cell == Cell() else 10_000 + 100 * number)
         for k in range(1, FLIGHTS + 1):
             random = np.random.default_rng(zlib.crc32(f"{name} {k}".encode()))
-            table = readings(flown(folder / "flown", case.cell, first + k), case.sensors, random)
+            table = readings(flown(folder / "flown", case.cell, first + k, weather), case.sensors, random)
             write(folder / name / f"flight_{k}.csv", table)
         labels[name] = {"effect": case.effect, "size": case.size, "cell": changed(case.cell)}
         labels[name]["sensors"] = changed(case.sensors)

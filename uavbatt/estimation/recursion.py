@@ -28,9 +28,10 @@ from uavbatt.estimation.kalman import Condition, Moments, jacobian
 from uavbatt.records import Sample
 
 GATE = 16.0
-# Of the surprise, as NIS: two standard deviations. With one, four fifths of what a noisy sensor says lay beyond, and a
-# generic battery was too sure of its capacity: 2.1 sds off where the mean NIS was above 0.6, 0.7 where below 0.3.
-WITHIN_NOISE = 4.0
+# Of the surprise, as NIS: 1.7 standard deviations. With two the last seconds are known later. With one, four fifths of
+# what a noisy sensor says lay beyond, and a generic battery was too sure of its capacity: 2.1 sds off where the mean
+# NIS was above 0.6, 0.7 where below 0.3.
+WITHIN_NOISE = 3.0
 FULL_SOC_SD = 0.01
 LEAST_WEIGHT = 1e-5
 ROOM_TEMP_C = 22.0
@@ -243,7 +244,7 @@ def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array, evidence
 
     variance_V2 : the variance of each innovation [V²], [members]. All are judged by one variance, the harmonic mean
     by weight: otherwise a member that expects less noise would win by that alone, since all members expect more noise
-    than there is. An innovation within two standard deviations counts by `evidence_share`, which is less than 1 where
+    than there is. An innovation whose NIS is within WITHIN_NOISE counts by `evidence_share`, which is less than 1 where
     the model's curve is that of other makes and stays wrong in one direction for minutes. What is beyond counts whole:
     no slow error of the model looks like the knee of an emptying pack. No weight falls below LEAST_WEIGHT: a member
     that was wrong so far may be right about the knee.
