@@ -166,7 +166,8 @@ def rate_doubt(what: str, c_rate: float) -> Doubt | None:
     if c_rate <= USUAL_C_RATE[1]:
         return None
     is_certain = c_rate > C_RATE[1]
-    return Doubt(f"{what} {c_rate:.4g} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
+    shown = f"{c_rate:.0f}" if c_rate < 1e6 else f"{c_rate:.0e}"
+    return Doubt(f"{what} {shown} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
 
 
 def check_stated(

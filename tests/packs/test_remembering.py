@@ -215,7 +215,7 @@ def test_what_was_read_by_the_curve_of_ordinary_cells_is_left_out_for_others(tmp
         after = ledger.save("A", remembering.flight_for_ledger(generic, options, full, health).record)
         assert [finding.kind for finding in after.findings] == ["higher_charge"]
         own = ledger.pack("A").outlook
-        assert own.capacity_lo_Ah < FULL_AH < own.capacity_hi_Ah
+        assert own.capacity_Ah == pytest.approx(FULL_AH, rel=0.05)  # one flight: 4.8 Ah; a part of 0.6 before
     end_s = full.samples[-1].time_s
     said = [r for _, r in estimator.run(full.samples) if end_s - 360.0 < r.time_s < end_s - 350.0]
     assert said[0].remaining_lo_s < 360.0 < said[0].remaining_hi_s
