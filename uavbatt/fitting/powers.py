@@ -24,7 +24,7 @@ SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
 SHAPE_SD = 0.01  # of the shape itself within a cell of 1 m/s airspeed and climb
-KNOWN_MS, FASTEST_SHARE = 10.0, 0.98
+KNOWN_MS, FASTEST_SHARE = 10.0, 0.999
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 AS_METERED = Installation(1, 1.0)
 
@@ -127,7 +127,7 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
 
 
 def _fastest_ms(told: list[PowerRows]) -> float:
-    """The airspeed [m/s] below which nearly all blocks are; other aircraft tell the law up to KNOWN_MS."""
+    """The airspeed [m/s] of the fastest block; other aircraft tell the law up to KNOWN_MS."""
     airspeed_ms = np.concatenate([rows.airspeed_ms for rows in told])
     return max(KNOWN_MS, _rounded(float(np.quantile(airspeed_ms, FASTEST_SHARE)), 1))
 
