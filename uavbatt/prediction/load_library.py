@@ -3,8 +3,8 @@
 With a vehicle file: each past flight is used from the point that corresponds to the present one (half by time since
 take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
 flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
-has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 44, 40,
-32 and 28 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
+has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 43, 40,
+34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
 landing a past flight goes on as another past flight did from that charge.
 
 Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
