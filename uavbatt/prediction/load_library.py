@@ -41,11 +41,11 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: a dropout or a gl
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
-# Two flights of one route differ by a tenth from half minute to half minute, and by more where one is late. With 0.13
-# and 0.25 the Matrice 100 flights gain as much.
+# Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and 0.25
+# the Matrice 100 flights gain as much.
 BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
 FAR_APART = 9.0  # in squared sds
-ANY_SHARE = 0.2  # of the weight belongs to all past flights alike: what went the same so far may part now
+ANY_SHARE = 0.2  # of the weight is shared by all past flights equally: similar flights may differ from now on
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
@@ -90,9 +90,9 @@ class LearnedLoad:
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
     def _weights(self, now: Now) -> Array:
-        """Return the weights of the flights [flights], by their likeness to this one.
+        """Return the weights of the flights [flights], by their similarity to this one.
 
-        All weigh the same while nothing can be compared: a flight with a gap does not know where its powers belong.
+        They are equal if nothing can be compared: before any block, and after a gap, which shifts the times of the powers.
         """
         flown, flights = now.recent.flown, self.power_W.shape[0]
         own_W = flown.blocks_W(BLOCK_S, BLOCKS)
@@ -106,12 +106,12 @@ class LearnedLoad:
 
 
 def likeness(own_W: Array, past_W: Array) -> Array:
-    """Return the weights [flights] of past flights by how much their power went up and down as that of this one did.
+    """Return the weights [flights] of past flights by the similarity of their power over time to that of this flight.
 
     own_W : mean power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
-    The logarithms of their ratios, but for what is the same in all blocks (a payload tells no route), are taken to be
-    independent and normal, with BLOCK_SD; a motor that stands still in one of them and not in the other counts for no
-    more than FAR_APART. The sum of the weights is 1.
+    Only the shape counts: the median difference in level is removed, because a payload says nothing about the route.
+    The remaining log ratios are assumed independent and normal with sd BLOCK_SD. One block counts FAR_APART at most, so
+    that a motor that stops at another time does not decide alone. The sum of the weights is 1.
     """
     ratio = np.log(np.maximum(past_W, LOWEST_POWER_W) / np.maximum(own_W, LOWEST_POWER_W))
     apart = (ratio - np.median(ratio, axis=1, keepdims=True)) / BLOCK_SD
