@@ -41,8 +41,8 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: a dropout or a gl
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
-# Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and 0.25
-# the Matrice 100 flights gain as much.
+# Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
+# 0.25 the Matrice 100 flights gain as much.
 BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
 FAR_APART = 9.0  # in squared sds
 ANY_SHARE = 0.2  # of the weight is shared by all past flights equally: similar flights may differ from now on
@@ -92,7 +92,7 @@ class LearnedLoad:
     def _weights(self, now: Now) -> Array:
         """Return the weights of the flights [flights], by their similarity to this one.
 
-        They are equal if nothing can be compared: before any block, and after a gap, which shifts the times of the powers.
+        They are equal if nothing can be compared: before the first block, and after a gap, which shifts the powers.
         """
         flown, flights = now.recent.flown, self.power_W.shape[0]
         own_W = flown.blocks_W(BLOCK_S, BLOCKS)
