@@ -54,15 +54,8 @@ class Progress(NamedTuple):
     ) -> Progress:
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
-        moved = self._on_path(time_s, navigation)
-        moved = moved._replace(
-            time_s=time_s,
-            lessons=moved.lessons.with_wind(navigation.wind, row_s),
-            moved=self.moved
-            if 0.0 <= _since_s(self.moved, navigation.position) < TOLD_PERIOD_S
-            else navigation.position,
-            is_steady=_is_steady(self.moved, navigation.position),
-        )
+        moved = self._on_path(time_s, navigation)._steadied(navigation.position)
+        moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
         moved = moved._followed(time_s, navigation) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
@@ -74,7 +67,7 @@ class Progress(NamedTuple):
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
-        """Return the progress with the fact if the aircraft keeps its velocity, by that of a second ago."""
+        """Return the progress at a position; whether it is steady follows from the velocity TOLD_PERIOD_S ago."""
         is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
         return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
 
