@@ -145,3 +145,9 @@ def test_a_pack_of_another_chemistry_is_doubted_and_no_lipo_is() -> None:
     assert "diffusion_ratio" in doubted.doubtful[0] and "another chemistry" in doubted.doubtful[0]
     assert doubted.doubtful[0] in doubted.file.battery.remarks
     assert not fitted("whole").doubtful
+
+
+def test_the_file_says_over_how_many_flights_the_scatter_was_measured() -> None:
+    three = fit_battery(SIZE, [], [Flight(f.source, f.kind, f.samples) for f in flights(COARSE)[:3]])
+    assert three.file.parameters.spread_flights == 3
+    assert fitted("whole").file.parameters.spread_flights is None  # two differ by chance

@@ -245,12 +245,12 @@ def test_no_headline_where_the_file_knows_nothing(tmp_path: Path) -> None:
     seen = msgspec.structs.replace(content, certificate=certificate)
     size = resolve(seen, OPTIONS)
     cold, mild = (make_plan(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), t) for t in (5.0, 12.0))
-    assert math.isnan(cold.here.median_s) and cold.here.remark == "not known: fitted from 15 to 38 °C"
+    assert math.isnan(cold.here.median_s) and cold.here.remark == "not known: outside the fitted range: 15 °C to 38 °C"
     assert mild.here.median_s > 0.0
     greyed = {row.ambient_C: row.remark for row in cold.rows}
-    assert greyed[0.0] == "fitted from 15 to 38 °C" != greyed[20.0]
+    assert greyed[0.0] == "outside the fitted range: 15 °C to 38 °C" != greyed[20.0]
     page = plan_report(cold)
-    assert "The endurance at +5 °C is not known: fitted from 15 to 38 °C." in page
+    assert "The endurance at +5 °C is not known: outside the fitted range: 15 °C to 38 °C." in page
     assert 'class="quiet">0 °C' in page
 
 

@@ -69,7 +69,10 @@ def content_hash(file: BatteryFile) -> str:
     content: dict[str, Any] = msgspec.to_builtins(file)
     for key in ("content_sha256", "date", "tool_version"):
         del content["certificate"][key]
-    wander = file.discrepancy.wander  # keys that older files do not know: their hashes stand
+    # Keys that older files do not know are left out where they are empty, so that the hashes of those files stand.
+    if file.parameters.spread_flights is None:
+        del content["parameters"]["spread_flights"]
+    wander = file.discrepancy.wander
     if wander is None:
         del content["discrepancy"]["wander"]
     elif wander.coldest_C is None:

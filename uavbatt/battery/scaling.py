@@ -62,6 +62,9 @@ SERVICE_REACTION_SD_V = 0.05
 # The rest, beside the reaction, changes by 5 to 15 mV within some minutes as the cell warms and empties.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.012, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
+# A file that was fitted to so many flights, of packs whose resistances differ so much, was fitted to packs in service:
+# their scatter is measured, and only half of the reaction remains beside it.
+FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
 # The printed capacity of an untested make is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
 # Its curve is a mean over makes, and is off to the same side for minutes at a time: a tenth of the readings is
@@ -182,7 +185,8 @@ def pack_of(
     installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
-    unknown = file.status == "generic"
+    unknown, of_fleet = file.status == "generic", _is_of_fleet(file)
+    service_reaction_sd_V = FLEET_REACTION_SD_V if of_fleet else SERVICE_REACTION_SD_V
     ocv_sd_V = _ocv_sd_V(file)
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
@@ -191,12 +195,14 @@ def pack_of(
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
-        resistance_scale_sd=math.hypot(file.parameters.resistance_scale_sd * widening, SERVICE_RESISTANCE_SD),
+        resistance_scale_sd=file.parameters.resistance_scale_sd
+        if of_fleet
+        else math.hypot(file.parameters.resistance_scale_sd * widening, SERVICE_RESISTANCE_SD),
         capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, UNKNOWN_MAKE_BIAS_TAU_S if unknown else SERVICE_BIAS_TAU_S),
-        reaction_sd_V=UNKNOWN_MAKE_REACTION_SD_V if unknown else SERVICE_REACTION_SD_V,
+        reaction_sd_V=UNKNOWN_MAKE_REACTION_SD_V if unknown else service_reaction_sd_V,
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
@@ -207,6 +213,13 @@ def pack_of(
         evidence_share=UNKNOWN_MAKE_EVIDENCE if unknown else 1.0,
         empty_soc_sd=UNKNOWN_MAKE_EMPTY_SOC_SD if unknown else 0.0,
     )
+
+
+def _is_of_fleet(file: BatteryFile) -> bool:
+    """Return True if the file was fitted to flights of packs that differ as packs in service do."""
+    table = file.parameters
+    flights = table.spread_flights or 0
+    return file.status == "fitted" and flights >= FLEET_FLIGHTS and table.resistance_scale_sd >= FLEET_RESISTANCE_SD
 
 
 def _ocv_sd_V(file: BatteryFile) -> Array:

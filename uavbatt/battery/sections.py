@@ -61,6 +61,7 @@ class ParameterTable(Record, frozen=True):
     capacity_scale_sd: Spread
     c_rate: Rate | None = None
     c_rate_sd: AtLeastZero | None = None
+    spread_flights: Annotated[int, msgspec.Meta(ge=0)] | None = None  # over which the scatter was measured
     standard_error: dict[str, AtLeastZero] = {}
 
 

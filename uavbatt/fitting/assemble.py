@@ -26,8 +26,12 @@ def parameter_table(
     capacity_scale_sd: float,
     c_rate: float | None = None,
     c_rate_sd: float | None = None,
+    spread_flights: int | None = None,
 ) -> ParameterTable:
-    """Return the section [parameters] of the values x [slots]."""
+    """Return the section [parameters] of the values x [slots].
+
+    spread_flights : the flights over which the two scales' sds were measured, None where they are assumed.
+    """
     ocv_V, r0_ohmAh = prior.knots(slots, x)
     return ParameterTable(
         ocv_soc=[float(z) for z in prior.OCV_SOC],
@@ -38,6 +42,7 @@ def parameter_table(
         capacity_scale_sd=rounded(capacity_scale_sd),
         c_rate=None if c_rate is None else rounded(c_rate),
         c_rate_sd=None if c_rate_sd is None else rounded(c_rate_sd),
+        spread_flights=spread_flights,
         standard_error={k: rounded(v) for k, v in standard_error.items()},
     )
 

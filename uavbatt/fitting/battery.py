@@ -71,7 +71,8 @@ def fit_battery(
         stack, effects, own_prior=own_prior, progress=progress, evaluations=60, has_bench=bool(bench)
     )
     error = {s.name: found.standard_error(s.name) for s in found.slots}
-    spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
+    has_spread = len(flown) > 2 and not bench
+    spread = float(np.std(found.own[:, 1])) if has_spread else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
     shown = solve.replay_fit(stack, found)
     source = f"{len(bench)} bench tests, {len(flown)} flights"
@@ -90,7 +91,10 @@ def fit_battery(
             source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
             remarks=[*doubtful, *unknown],
         ),
-        parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
+        parameters=assemble.parameter_table(
+            *(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
+            spread_flights=len(flown) if has_spread else None,
+        ),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
         discrepancy=left,
         certificate=Certificate(

@@ -134,9 +134,11 @@ def endurance(
         beyond = "the end may lie beyond six hours: this is not the load of a flight"
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, beyond)
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
+    remark = range_remark(battery, ambient_C)
     if found.median_s <= 0.0:
-        return Endurance(ambient_C, *times_s, _why_no_flight(pack, start_soc, max(reserve_soc, EMPTY_SOC), ambient_C))
-    return Endurance(ambient_C, *times_s, range_remark(battery, ambient_C))
+        why = _why_no_flight(pack, start_soc, max(reserve_soc, EMPTY_SOC), ambient_C)
+        remark = f"{why}; {remark}" if is_outside(battery, ambient_C) else why
+    return Endurance(ambient_C, *times_s, remark)
 
 
 def _why_no_flight(pack: Pack, start_soc: float, reserve_soc: float, ambient_C: float) -> str:
@@ -171,7 +173,7 @@ def range_remark(battery: BatteryFile, ambient_C: float) -> str:
         return "" if how == "validated" else "not tested at any temperature"
     if how == "validated":
         return f"outside the validated range: {low:g} °C{'' if high == low else f' to {high:g} °C'}"
-    return f"fitted from {low:.0f} to {high:.0f} °C"
+    return f"outside the fitted range: {low:.0f} °C to {high:.0f} °C"
 
 
 def is_outside(battery: BatteryFile, ambient_C: float) -> bool:
