@@ -24,6 +24,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, LiveRow
@@ -94,7 +95,8 @@ class Batteries:
         facts, navigation = self._facts_of(instance), self._reader.navigation
         estimate, remaining = tracked.step(row.sample, facts, gap_s, navigation)
         if conflict := self._reader.conflict(instance):
-            estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
+            why = Notice(f"two senders speak for this battery: {conflict}", Kind.TWO_SENDERS)
+            estimate, remaining = _refused(estimate, remaining, why)
         before, resolved = self.reports.get(instance), tracked.estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
@@ -237,7 +239,7 @@ def _is_worth_keeping(parameter: str) -> bool:
     return parameter.startswith(BATTERY_NAMES) or parameter in NAMES
 
 
-def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:
+def _refused(estimate: Estimate, remaining: Remaining, reason: Notice) -> tuple[Estimate, Remaining]:
     """Return the estimate and the remaining time as refused for this reason."""
     status = Status.REFUSED
     return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)
