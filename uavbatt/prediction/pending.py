@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.notice import Kind, Notice, kind_of
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.prediction.forecaster import Forecaster
@@ -47,7 +47,7 @@ class Pending(NamedTuple):
             return found, no_forecast(sample.time_s, self.refusal)
         answered = (self.question, ends) if self.question is not None and ends is not None else None
         remaining = bounded(self.forecaster.finish(sample, found, self.refusal, answered), self.voltage_left_s)
-        if kind_of(remaining.reason) is Kind.FALLS_FASTER:
+        if remaining.reason == FALLS_FASTER:
             found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
         if remaining.remaining_alarm_s <= ALARM_S:
             found = replace(found, warnings=(*found.warnings, ALARM))
