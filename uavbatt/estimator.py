@@ -144,6 +144,7 @@ class Estimator:
         New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
         """
         if facts != self._known.facts:
+            self._cleaner = self._cleaner.with_facts(facts)
             self._know(self._known.with_facts(facts))
 
     def _know(self, known: KnownSize) -> None:
@@ -169,7 +170,7 @@ class Estimator:
     ) -> None:  # fmt: skip
         """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
-        self._cleaner = past.cleaner if past is not None else self._cleaner
+        self._cleaner = (past.cleaner if past is not None else self._cleaner).with_facts(facts)
         self._followed = self._begun()._replace(swap=SwapWatch(belief.time_s, current_A, belief, 0.0, consumed_Ah))
         self._followed.filter.restore(belief, current_A)
         if past is not None:
@@ -237,7 +238,7 @@ class Estimator:
 
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
-        cleaner, size = self._cleaner.told(self._known.facts), self._known.size or self._known.by_voltage(samples)
+        cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf

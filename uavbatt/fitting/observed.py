@@ -117,7 +117,7 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C:
     if len(rows) < LEAST_ROWS:
         said = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {said}")
-    cleaner = Cleaner(hottest_start_C=hottest_start_C).told(flight.facts_at(rows[-1].time_s))
+    cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
     temp_C = []
     for row in rows:
         cleaner, cleaned = cleaner.clean(row)
