@@ -114,7 +114,7 @@ def fleet(
     def crew() -> AbstractContextManager[Crew[Any]]:
         return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
 
-    met, told = _met(packs, crew, found, job, output) if packs is not None else ([], "")
+    met, told = _health_before_each(packs, crew, found, job, output) if packs is not None else ([], "")
     flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")
     _tell(output, run.rows(output, found, job, met), job, flown, len(found))
     if told:
@@ -133,7 +133,7 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
     return count
 
 
-def _met(
+def _health_before_each(
     packs: Path, crew: Callable[[], AbstractContextManager[Crew[Any]]], found: list[LogFile], job: Job, output: Path
 ) -> tuple[list[PackMet], str]:
     """Fill the ledger in a first pass; return the pack's health before each log, and a line for the user."""

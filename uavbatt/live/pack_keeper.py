@@ -84,7 +84,7 @@ class PackKeeper:
             self.note = f"pack ledger: batteries {first} and {instance} are both called {name}: only {first} is kept"
             return None
         if kept is None:
-            health = self._worker.submit(self._noting_errors, self._met, name, now_s)
+            health = self._worker.submit(self._noting_errors, self._look_up, name, now_s)
             self._kept[instance] = kept = KeptBattery(name, health)
         kept.cycles = cycles if cycles is not None else kept.cycles
         return kept.health
@@ -117,7 +117,7 @@ class PackKeeper:
             wait_s = 0.0 if self._utc_s(now_s) - left.last_utc_s > RESUMED_WITHIN_S else FLIGHT_SILENT_S + FLUSH_S
             if now_s >= self._ask_s.setdefault(number, now_s + wait_s):
                 del self._left_over[number], self._ask_s[number]
-                self._worker.submit(self._noting_errors, self._learned_unless_grown, left)
+                self._worker.submit(self._noting_errors, self._learn_unless_grown, left)
 
     def close(self, now_s: float) -> None:
         """Write all rows that wait; a flight that is still in the air stays open in the ledger."""
@@ -188,7 +188,7 @@ class PackKeeper:
                 self._landing.append((kept, flying))
             raise
         assert flying.number is not None
-        self._learned(flying.number)
+        self._learn(flying.number)
         return self._recalled(kept.name, kept.last_s)
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
@@ -201,7 +201,7 @@ class PackKeeper:
             self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
         return None
 
-    def _met(self, name: str, now_s: float) -> PackHealth | None:
+    def _look_up(self, name: str, now_s: float) -> PackHealth | None:
         health = self._recalled(name, now_s)
         self.note = f"pack {name}: {'met before' if health is not None else 'new'}"
         return health
@@ -210,18 +210,18 @@ class PackKeeper:
         last = self._ledger.last(name)
         return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
 
-    def _learned_unless_grown(self, was: LeftOver) -> None:
+    def _learn_unless_grown(self, was: LeftOver) -> None:
         """Save the flight of an earlier process, or wait longer if it has new rows or its number is reused."""
         now = self._airborne(was.number)
         if now is not None and (now.flight != was.flight or len(now.rows) > len(was.rows)):
             self._left_over[now.number] = now
         else:
-            self._learned(was.number)
+            self._learn(was.number)
 
     def _airborne(self, number: int) -> LeftOver | None:
         return next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
 
-    def _learned(self, number: int) -> None:
+    def _learn(self, number: int) -> None:
         left = self._airborne(number)
         if left is None:
             return

@@ -43,8 +43,8 @@ FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
-    """Planned holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
+class PlannedMission:
+    """PlannedMission holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
 
     mission: Mission
     home: Home
@@ -109,7 +109,7 @@ class MissionPlan:
     """MissionPlan holds the pack, the mission, and the result at the planned temperature and at others."""
 
     resolved: PackSize
-    planned: Planned
+    planned: PlannedMission
     start_soc: float
     here: RouteFit
     legs: tuple[LegEnd, ...]
@@ -121,7 +121,7 @@ class MissionPlan:
 def make_route_plan(
     battery: BatteryFile,
     resolved: PackSize,
-    planned: Planned,
+    planned: PlannedMission,
     ambient_C: float,
     start_soc: float = 1.0,
     reserve_soc: float = 0.0,
@@ -150,7 +150,7 @@ def make_route_plan(
 def _fit(
     battery: BatteryFile,
     pack: Pack,
-    planned: Planned,
+    planned: PlannedMission,
     flown: tuple[Ahead, Way],
     belief: Belief,
     reserve_soc: float,
@@ -223,13 +223,13 @@ def _air_remark(ahead: Ahead) -> str:
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"
 
 
-def _home_remark(planned: Planned) -> str:
+def _home_remark(planned: PlannedMission) -> str:
     """Return a warning if the mission lands and the way home from it is not known; else empty."""
     elsewhere = return_reason(planned.mission, planned.settings)
     return f"no turn-back: {elsewhere}" if elsewhere else ""
 
 
-def _speeds_remark(planned: Planned) -> str:
+def _speeds_remark(planned: PlannedMission) -> str:
     settings = planned.settings
     unknown = {
         "cruise": settings.cruise_ms, "climb": settings.climb_ms, "descent": settings.descent_ms,

@@ -23,12 +23,12 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.flown import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
-from uavbatt.prediction.route_forecast import Flying, WaysAsked
+from uavbatt.prediction.route_forecast import Flying, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
@@ -69,7 +69,7 @@ class ForecastSettings:
 class Memory(NamedTuple):
     """Memory holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
 
-    flown: Flown
+    flown: FlightSoFar
     route: FlightLessons
     at_take_off: AtTakeOff | None = None
 
@@ -86,9 +86,9 @@ class Forecaster:
         self.pack = pack
         self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
-        self._flown = Flown()
+        self._flown = FlightSoFar()
         self._asked_s = NAN
-        self._ways = WaysAsked()
+        self._ways = WaysState()
         self._last: Forecast | None = None
         self._progress = Progress()  # on the route
         self._rested: Belief | None = None  # the last one on the ground
@@ -139,7 +139,7 @@ class Forecaster:
             question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else BEYOND_SIX_HOURS
         if refusal:
-            self._asked_s, self._ways = NAN, WaysAsked()
+            self._asked_s, self._ways = NAN, WaysState()
         elif question is not None:
             self._asked_s, self._ways = sample.time_s, question.ways
         return refusal, question
@@ -187,7 +187,7 @@ class Forecaster:
         )
         if not navigation.has_way:
             return question
-        ways = route_forecast.ways_asked(known, navigation, time_s)
+        ways = route_forecast.ways_state(known, navigation, time_s)
         if not self._ways.is_due(ways, typical_s):
             return question._replace(ways=self._ways)
         flying = Flying(

@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.powers_flown import PowersFlown
+from uavbatt.prediction.powers_flown import PowerHistory
 from uavbatt.prediction.swings import Swings, swung
 
 MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # of the averages
@@ -68,7 +68,7 @@ class RecentLoad(NamedTuple):
     time_s: float = math.nan
     mean_W: float = math.nan
     gust_W: float = math.nan
-    flown: PowersFlown = PowersFlown()
+    flown: PowerHistory = PowerHistory()
 
     def after(self, time_s: float, power_W: float) -> RecentLoad:
         """Return the memory with one more row; rows must come in order of time."""
@@ -145,7 +145,7 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
     return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
 
 
-def flown_again(scenarios: Scenarios, flown: PowersFlown) -> Scenarios:
+def flown_again(scenarios: Scenarios, flown: PowerHistory) -> Scenarios:
     """Return the scenarios with the ups and downs of the flight so far, each from another place of it on.
 
     What a flight has not shown in its first SHOWN_S is there as swings, less and less.
