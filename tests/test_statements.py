@@ -398,7 +398,7 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
 )
 def test_the_crew_hears_what_cannot_be(stated: dict[str, Any], parameters: dict[str, float], words: str) -> None:
     bench = live(parameters, PackOptions(**{"capacity_Ah": 5.0, **stated}))
-    assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.said]
+    assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.announcements]
 
 
 def test_live_says_what_capacity_was_not_used() -> None:

@@ -44,7 +44,7 @@ from uavbatt.limits import HIGHEST_C_RATE, Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
-from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
+from uavbatt.prediction.forecaster import Forecaster, ForecasterMemory, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
@@ -52,20 +52,20 @@ from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.cleaning import Cleaner
 
-__all__ = ["PLAIN", "Engine", "Estimator", "Past"]
+__all__ = ["PLAIN", "Engine", "Estimator", "EstimatorMemory"]
 
 LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
 
-class Past(NamedTuple):
-    """Past keeps the memory of an estimator beside its belief: the past of the flight, and the past of the sensors."""
+class EstimatorMemory(NamedTuple):
+    """EstimatorMemory holds what is saved beside the belief: the past of the flight, and the past of the sensors."""
 
-    forecaster: Memory
+    forecaster: ForecasterMemory
     cleaner: Cleaner
 
-    def moved(self, shift_s: float) -> Past:
+    def moved(self, shift_s: float) -> EstimatorMemory:
         """Return the same past on a clock that shows `shift_s` [s] more."""
-        return Past(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
+        return EstimatorMemory(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
 
 
 class PackState(NamedTuple):
@@ -159,13 +159,13 @@ class Estimator:
             self._state.filter.pack = self._state.forecaster.pack = self._pack(now)
 
     @property
-    def past(self) -> Past | None:
+    def past(self) -> EstimatorMemory | None:
         """Return the memory that is saved with the belief; None before the first sample."""
-        return Past(self._state.forecaster.memory, self._cleaner) if self._state is not None else None
+        return EstimatorMemory(self._state.forecaster.memory, self._cleaner) if self._state is not None else None
 
     def restore(
-        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None,
-        consumed_Ah: float = NAN,
+        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0,
+        past: EstimatorMemory | None = None, consumed_Ah: float = NAN,
     ) -> None:  # fmt: skip
         """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)

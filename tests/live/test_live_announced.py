@@ -245,7 +245,7 @@ def test_the_load_that_never_comes_is_said_whenever_the_companion_was_started(st
         bench.send(battery_status(Sample(0.0, 16.0, 0.0, 25.0, 0.0, armed=True), 0))
         bench.daemon.turn()
         bench.now_s += 0.2
-    assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.said]
+    assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.announcements]
 
 
 def test_every_flight_has_a_warning_of_its_own() -> None:

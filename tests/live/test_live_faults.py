@@ -206,8 +206,8 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     agrees(second, undisturbed())
     now = second.daemon.batteries.tracked[0].estimator.past
     assert past is not None and now is not None
-    assert now.forecaster.flown.flown_s == pytest.approx(180.0, abs=8.0)
-    assert now.forecaster.flown.load.mean_W == pytest.approx(180.0, rel=0.2)
+    assert now.forecaster.flight.flown_s == pytest.approx(180.0, abs=8.0)
+    assert now.forecaster.flight.load.mean_W == pytest.approx(180.0, rel=0.2)
 
 
 def test_the_vehicle_that_is_named_is_the_one() -> None:

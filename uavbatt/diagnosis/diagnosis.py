@@ -183,14 +183,14 @@ def floor_V(file: BatteryFile, problem: Problem) -> float:
     return float(file.discrepancy.voltage_rmse_V * share)
 
 
-class LeftPerNumber(NamedTuple):
-    """LeftPerNumber holds the chi-square per number that a model leaves."""
+class MisfitPerNumber(NamedTuple):
+    """MisfitPerNumber holds the chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured
 
 
-def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
+def left_per_number(problem: Problem, best: Refit) -> MisfitPerNumber:
     """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
@@ -202,14 +202,16 @@ def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
     return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
 
 
-def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
+def per_number(problem: Problem, fit: Refit) -> MisfitPerNumber:
     """Return the chi-square per number that a refit leaves of voltage and of temperature."""
     squares, numbers = np.zeros(2), np.zeros(2)
     for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
         first, size = volts.rows.size, temps.rows.size if temps is not None else 0
         squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
         numbers += [first, size]
-    return LeftPerNumber(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
+    return MisfitPerNumber(
+        float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan")
+    )
 
 
 def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
@@ -224,13 +226,13 @@ def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -
     return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
 
 
-def candidate_probability(left: LeftPerNumber, reasons: tuple[str, ...]) -> float:
+def candidate_probability(left: MisfitPerNumber, reasons: tuple[str, ...]) -> float:
     """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
 def doubts(
-    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: LeftPerNumber
+    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: MisfitPerNumber
 ) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 

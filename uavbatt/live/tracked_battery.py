@@ -22,7 +22,7 @@ from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
-from uavbatt.prediction.flown import FlightSoFar
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
@@ -55,10 +55,10 @@ class TrackedBattery:
         self.resumed = ""  # whether the saved state was resumed, in words; empty if there is none
 
     @property
-    def flown(self) -> FlightSoFar:
+    def flight_so_far(self) -> FlightSoFar:
         """Return energy and time of the flight so far, as its forecasts use them."""
         past = self.estimator.past
-        return past.forecaster.flown if past is not None else FlightSoFar()
+        return past.forecaster.flight if past is not None else FlightSoFar()
 
     def is_open_to_memory(self, armed: bool | None) -> bool:
         """Return True if the pack's health from the ledger may be used: on the ground, or before a state is resumed."""

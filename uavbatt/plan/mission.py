@@ -31,7 +31,7 @@ from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, return_reason, way_home
-from uavbatt.prediction.route_pieces import Way
+from uavbatt.prediction.route_pieces import LegTiming
 from uavbatt.records import Route
 
 STEPS = 400
@@ -52,14 +52,14 @@ class PlannedMission:
     powers: Powers
     wind: Wind
 
-    def ahead(self) -> tuple[Ahead, Way]:
+    def ahead(self) -> tuple[Ahead, LegTiming]:
         """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
         found = path(self.mission, self.home, self.settings)
         if found.reason or not found.lands:
             raise UsageError(
                 f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
             )
-        way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
+        way = LegTiming(wind=(self.wind.north_ms, self.wind.east_ms))
         flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
         if not flown.touchdown_s > 0.0:
             raise UsageError(f"{self.mission.source}: the mission flies nowhere: expected a take-off or a waypoint")
@@ -151,7 +151,7 @@ def _fit(
     battery: BatteryFile,
     pack: Pack,
     planned: PlannedMission,
-    flown: tuple[Ahead, Way],
+    flown: tuple[Ahead, LegTiming],
     belief: Belief,
     reserve_soc: float,
 ) -> tuple[RouteFit, Flying, Array]:

@@ -23,9 +23,9 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.flown import FlightSoFar
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
-from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying, WaysState
@@ -66,17 +66,17 @@ class ForecastSettings:
             raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
-class Memory(NamedTuple):
-    """Memory holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
+class ForecasterMemory(NamedTuple):
+    """ForecasterMemory holds the past that forecasts need; it is saved with the belief, so that a restart goes on."""
 
-    flown: FlightSoFar
+    flight: FlightSoFar
     route: FlightLessons
     at_take_off: AtTakeOff | None = None
 
-    def moved(self, shift_s: float) -> Memory:
+    def moved(self, shift_s: float) -> ForecasterMemory:
         """Return the same past on a clock that shows `shift_s` [s] more."""
         expected = self.at_take_off and self.at_take_off.moved(shift_s)
-        return self._replace(flown=self.flown.moved(shift_s), at_take_off=expected)
+        return self._replace(flight=self.flight.moved(shift_s), at_take_off=expected)
 
 
 class Forecaster:
@@ -86,7 +86,7 @@ class Forecaster:
         self.pack = pack
         self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
-        self._flown = FlightSoFar()
+        self._flight = FlightSoFar()
         self._asked_s = NAN
         self._ways = WaysState()
         self._last: Forecast | None = None
@@ -97,16 +97,16 @@ class Forecaster:
     @property
     def flying_since_s(self) -> float:
         """Return the time of the row since which the pack carries the aircraft [s]; NaN on the ground."""
-        return self._flown.flying_since_s
+        return self._flight.flying_since_s
 
     @property
-    def memory(self) -> Memory:
+    def memory(self) -> ForecasterMemory:
         """Return the past as far as forecasts need it."""
-        return Memory(self._flown, self._progress.lessons, self._at_take_off)
+        return ForecasterMemory(self._flight, self._progress.lessons, self._at_take_off)
 
-    def recall(self, memory: Memory) -> None:
+    def recall(self, memory: ForecasterMemory) -> None:
         """Go on from a past that was saved."""
-        self._flown, self._at_take_off = memory.flown, memory.at_take_off
+        self._flight, self._at_take_off = memory.flight, memory.at_take_off
         self._progress = self._progress._replace(lessons=memory.route)
 
     def step(
@@ -126,11 +126,11 @@ class Forecaster:
         It uses no simulated forecast, so that a replay can take many rows in and simulate their forecasts at once.
         """
         self._remember(sample, navigation)
-        flying_s = sample.time_s - self._flown.flying_since_s  # NaN on the ground
+        flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
         if math.isnan(flying_s):
             self._rested, self._at_take_off = belief, None
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
-            self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
+            self._at_take_off = self._expected(self._rested or belief, self._flight.flying_since_s)
         refusal, question = self._refusal(estimate, flying_s), None
         if not refusal and belief is None:
             refusal = NO_BELIEF
@@ -167,8 +167,8 @@ class Forecaster:
         horizon_s = LONGEST_SHARE * typical_s
         if not typical_s < LONGEST_FLIGHT_S:
             return None
-        by_rows = self._flown.row_s > SLOW_ROW_S
-        dt_s = self._flown.row_s if by_rows else _step_s(load, typical_s)
+        by_rows = self._flight.row_s > SLOW_ROW_S
+        dt_s = self._flight.row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)
@@ -243,10 +243,10 @@ class Forecaster:
         low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
-    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
-        flown = self._flown
+    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> FlightPoint:
+        flown = self._flight
         since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
-        return Now(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
+        return FlightPoint(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """Return the energy that is left [Wh], rather too much: the charge believed plus two sds of it."""
@@ -259,11 +259,11 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flown
+        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
-        self._flown = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up
-            self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)
+        self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
+        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # that was the spool-up
+            self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
             self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)

@@ -18,7 +18,7 @@ from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, s
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
-from uavbatt.prediction.route_pieces import Way, waiting
+from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import Route
@@ -115,7 +115,9 @@ class Flying(NamedTuple):
     reserve_soc: float = 0.0
 
 
-def fly_ways(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteQuestion:
+def fly_ways(
+    known: ToCome, flying: Flying, way: LegTiming, settings: ReturnSettings, typical_s: float
+) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws fly on once: through the instants of turning to the last touchdown.

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from uavbatt.navigation import NOWHERE, Navigation, Position
-from uavbatt.prediction.flown import FlightSoFar
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.records import Sample
 
 CAPACITY_AH, VOLTS = 5.0, 16.0
@@ -100,4 +100,4 @@ def test_a_flag_that_is_wrong_for_a_moment_under_full_load_begins_no_flight(rows
     flown = after(FlightSoFar(), 300, 300.0, armed=True)
     flapped = after(after(flown, rows, 300.0, armed=False), 5, 300.0, armed=True)
     assert flapped.took_off_s == flown.took_off_s and flapped.flown_s == flown.flown_s + rows + 5
-    assert flapped.load.flown == after(flown, rows + 5, 300.0, armed=True).load.flown
+    assert flapped.load.history == after(flown, rows + 5, 300.0, armed=True).load.history

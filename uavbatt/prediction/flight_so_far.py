@@ -114,7 +114,7 @@ class FlightSoFar(NamedTuple):
 
         The mean alone would be exceeded by every burst of a motor that runs by turns.
         """
-        before_W = max((self.mean_W, *self.load.flown.pieces_W[:-NEW_PIECES]))
+        before_W = max((self.mean_W, *self.load.history.pieces_W[:-NEW_PIECES]))
         if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):
             return self
         fresh = RecentLoad().after(self.time_s, power_W)
