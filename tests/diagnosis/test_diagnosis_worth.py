@@ -20,7 +20,7 @@ from uavbatt.diagnosis.diagnosis import (
     USUAL,
     Diagnosis,
     MisfitPerNumber,
-    believed,
+    candidate_probability,
     diagnose,
     options_of,
     problem_of,
@@ -228,8 +228,16 @@ def test_what_is_too_small_to_be_told_is_said_to_hide(planted: dict[str, float],
 
 
 def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:
-    shares = [believed(MisfitPerNumber(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
-    assert shares[0] == shares[1] > shares[2] > shares[3] == believed(MisfitPerNumber(0.8, 1.0), ("something is left",))
+    shares = [
+        candidate_probability(MisfitPerNumber(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)
+    ]
+    assert (
+        shares[0]
+        == shares[1]
+        > shares[2]
+        > shares[3]
+        == candidate_probability(MisfitPerNumber(0.8, 1.0), ("something is left",))
+    )
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(10.0, [0, 1]), (0.0, [0])])
