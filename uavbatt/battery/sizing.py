@@ -17,22 +17,23 @@ from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.size_remarks import fuller, likely, scaled_far, uncertified
-from uavbatt.errors import UsageError
+from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
     LOWEST_CELL_V,
     OPTIONS,
     RESTING_SLACK_V,
     Doubt,
+    FirstVoltages,
     Names,
     Resting,
-    Seen,
     capacity_doubt,
     cells_doubt,
     cells_from_voltage,
     check_stated,
     ending_doubt,
 )
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
@@ -45,7 +46,7 @@ CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 class PackOptions:
     """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number is impossible.
 
-    fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; spelt : the names by which the
+    fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; names : the names by which the
     caller knows these numbers; what is said of them later uses the names.
     """
 
@@ -55,7 +56,7 @@ class PackOptions:
     low_V: float = NAN
     ambient_C: float = NAN
     fullest_cell_V: float = ORDINARY_FULL_V
-    spelt: Names = field(default=OPTIONS, repr=False)
+    names: Names = field(default=OPTIONS, repr=False)
 
     def __post_init__(self) -> None:
         check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C)
@@ -77,7 +78,7 @@ class PackSize:
     low_from: str
     uncertified: str = ""  # what of this pack the battery file's certificate does not cover
     notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
-    refusal: str = ""  # why there can be no number for it
+    refusal: Notice | None = None  # why there can be no number for it
     fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
 
     @property
@@ -105,29 +106,29 @@ def size_of_pack(
     said: PackFacts,
     guessed_cells: int,
     guessed_from: str = GUESSED_FROM,
-    seen: Seen = Seen(),
+    voltages: FirstVoltages = FirstVoltages(),
     rested_V: float = NAN,
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; seen : the voltages [V]
+    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; voltages : the voltages [V]
     that the statements are held against; rested_V : of the pack before its first load [V], if the cells are to be told
-    by it from ordinary ones (`high_voltage`). Raises UsageError when nobody states the capacity.
+    by it from ordinary ones (`high_voltage`). Raises CapacityNotStated when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
-    cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
+    cells, cells_from, cells_notices = _cells(given, said, guess, voltages, resting(battery))
     if cells_notices:  # a PX4 works its critical voltage out from its count of cells
         said = replace(said, critical_voltage_V=NAN)
     why_not = why_no_capacity(battery, given, said)
     if why_not:
-        raise UsageError(why_not)
-    said, notices = believed(said, cells, seen)
+        raise CapacityNotStated(why_not)
+    said, notices = possible_facts(said, cells, voltages)
     capacity_Ah, capacity_from = _capacity(battery, given, said)
     (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
     doubts = [
-        ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
-        ending_doubt("low-voltage warning at ", given.low_V, cells),
+        ending_doubt("cut-off ", given.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
+        ending_doubt("low-voltage warning at ", given.low_V, cells, kind=Kind.LOW_VOLTAGE),
     ]
     fullest_V = max(fullest_cell_V(rested_V, cells), given.fullest_cell_V)
     return PackSize(
@@ -149,7 +150,7 @@ def size_of_pack(
             *scaled_far(battery, cells, capacity_Ah),
             *fuller(battery, fullest_V),
         ),
-        refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
+        refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), None),
         fullest_cell_V=fullest_V,
     )
 
@@ -161,7 +162,7 @@ def why_no_capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -
     if math.isfinite(_capacity(battery, given, replace(said, capacity_Ah=vehicle_Ah))[0]):
         return ""
     why = f"{CAPACITY} {doubt.words}: not used; " if doubt is not None else ""
-    by = _by(given.spelt.capacity)
+    by = _by(given.names.capacity)
     return f"{why}capacity: neither the vehicle nor battery `{battery.battery.name}` states one: give {by}"
 
 
@@ -196,11 +197,11 @@ def sized(battery: BatteryFile, size: PackSize) -> Pack:
     return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V, size.fullest_cell_V)
 
 
-def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
+def checked(battery: BatteryFile, pack: PackSize, voltages: FirstVoltages) -> PackSize:
     """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
     if pack.refusal:
         raise UsageError(pack.refusal)
-    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
+    doubt = cells_doubt(pack.cells, voltages, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
     if doubt is not None and doubt.is_certain:
         raise UsageError(f"{pack.cells_from}: {doubt.words}")
     return pack
@@ -217,31 +218,33 @@ def resting(battery: BatteryFile) -> Resting:
     return Resting(max(empty_V - RESTING_SLACK_V, LOWEST_CELL_V), min(low_V, LITTLE_CELL_V))
 
 
-def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
+def possible_facts(said: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
     """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
     capacity = capacity_doubt(said.capacity_Ah)
-    critical = ending_doubt("critical voltage of the vehicle, ", said.critical_voltage_V, cells, seen.rested_V)
-    low = ending_doubt("low-voltage warning of the vehicle, ", said.low_voltage_V, cells)
+    volts, what = said.critical_voltage_V, "critical voltage of the vehicle, "
+    critical = ending_doubt(what, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
+    what = "low-voltage warning of the vehicle, "
+    low = ending_doubt(what, said.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
     if capacity is not None:
-        capacity = Doubt(f"{CAPACITY} {capacity.words}", True)
+        capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
 
-    def kept(value: float, doubt: Doubt | None) -> float:
+    def unless_impossible(value: float, doubt: Doubt | None) -> float:
         return NAN if doubt is not None and doubt.is_certain else value
 
     sound = replace(
         said,
-        capacity_Ah=kept(said.capacity_Ah, capacity),
-        critical_voltage_V=kept(said.critical_voltage_V, critical),
-        low_voltage_V=kept(said.low_voltage_V, low),
+        capacity_Ah=unless_impossible(said.capacity_Ah, capacity),
+        critical_voltage_V=unless_impossible(said.critical_voltage_V, critical),
+        low_voltage_V=unless_impossible(said.low_voltage_V, low),
     )
     doubts = [d for d in (capacity, critical, low) if d is not None]
-    return sound, tuple(d.words + ": not used" if d.is_certain else d.words for d in doubts)
+    return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
 
 
 def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
     """The capacity [Ah] and where it came from, `said` as it is believed."""
     typed_Ah = battery.battery.capacity_Ah
-    by = _by(given.spelt.capacity)
+    by = _by(given.names.capacity)
     return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
 
 
@@ -251,12 +254,12 @@ def _endings(
     """The cut-off and the low-voltage warning of the pack [V], each with where it came from."""
     share = cells / typed.cells_series
     cutoff = _first(
-        (given.cutoff_V, _by(given.spelt.cutoff)),
+        (given.cutoff_V, _by(given.names.cutoff)),
         (said.critical_voltage_V, "vehicle"),
         (typed.cutoff_V * share, "battery file"),
     )
     low = _first(
-        (given.low_V, _by(given.spelt.low)),
+        (given.low_V, _by(given.names.low)),
         (said.low_voltage_V, "vehicle"),
         (None if typed.low_V is None else typed.low_V * share, "battery file"),
         (NAN, "nobody"),
@@ -265,22 +268,23 @@ def _endings(
 
 
 def _cells(
-    given: PackOptions, said: PackFacts, guess: tuple[int, str], seen: Seen, cell: Resting
+    given: PackOptions, said: PackFacts, guess: tuple[int, str], voltages: FirstVoltages, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
     """The count of cells, where it came from, and the vehicle's own if it was not believed."""
     if given.cells is not None:
-        by = _by(given.spelt.cells)
+        by = _by(given.names.cells)
         if said.cells_series in (None, given.cells):
             return int(given.cells), by, ()
-        stated = f"{given.spelt.cells}{given.cells}"
+        stated = f"{given.names.cells}{given.cells}"
         notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
-        return int(given.cells), by, (notice,)
+        return int(given.cells), by, (Notice(notice, Kind.CELLS_OF_VEHICLE),)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
-    doubt = cells_doubt(said.cells_series, seen, cell)
+    doubt = cells_doubt(said.cells_series, voltages, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
-    return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
+    notice = f"the vehicle states {doubt.words}: not used, nor its critical voltage"
+    return int(guess[0]), guess[1], (Notice(notice, Kind.CELLS_OF_VEHICLE),)
 
 
 def _by(name: str) -> str:

@@ -23,10 +23,11 @@ from uavbatt.limits import (
     POWER_FACTOR,
     USUAL_C_RATE,
     Doubt,
+    FirstVoltages,
     Resting,
-    Seen,
     cells_doubt,
 )
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
@@ -43,9 +44,14 @@ OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
-SLOW_ROWS = Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
-CHARGING = Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
-IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", False)
+SLOW_ROWS = Doubt(
+    Notice(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", Kind.SLOW_ROWS), True
+)
+CHARGING = Doubt(
+    Notice("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", Kind.CHARGING),
+    True,
+)
+IN_KELVIN = Doubt(Notice("the temperature reads as if it were in kelvin: not used", Kind.NO_TEMPERATURE), False)
 
 
 class Means(NamedTuple):
@@ -121,7 +127,7 @@ class Current(NamedTuple):
 class Statements(NamedTuple):
     """Statements sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
 
-    seen: Seen = Seen()
+    voltages: FirstVoltages = FirstVoltages()
     rows: int = 0
     time_s: float = NAN
     voltage_V: float = NAN
@@ -137,11 +143,11 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        seen = self._seen(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
+        voltages = self._highest_voltages(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
-        current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
-        return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
+        current = self.current.after(time_s, volts, current_A, voltages.rested_V, pack) if is_metered else self.current
+        return Statements(voltages, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
         """Return the doubts about the statements, the certain ones first.
@@ -154,7 +160,7 @@ class Statements(NamedTuple):
         may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # in flight motors that brake give some back
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
-            cells_doubt(pack.cells, self.seen, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
+            cells_doubt(pack.cells, self.voltages, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
             SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
             CHARGING if current.negative_s >= may_charge_s else None,
             _strong(load, capacity_Ah) if is_minute and load.current_A > USUAL_C_RATE[1] * capacity_Ah else None,
@@ -169,34 +175,33 @@ class Statements(NamedTuple):
 
     def denies(self, cells: int, resting: Resting) -> bool:
         """Return True if the voltages say for certain that there are not so many cells."""
-        doubt = cells_doubt(cells, self.seen, resting)
+        doubt = cells_doubt(cells, self.voltages, resting)
         return doubt is not None and doubt.is_certain
 
-    def shown(self, volts: float, is_idle: bool) -> Statements:
+    def with_voltage(self, volts: float, is_idle: bool) -> Statements:
         """Return the summary after a row of which only the voltage [V] is compared."""
-        return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
+        return self._replace(voltages=self._highest_voltages(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
 
-    def _seen(self, volts: float, is_idle: bool) -> Seen:
+    def _highest_voltages(self, volts: float, is_idle: bool) -> FirstVoltages:
         """Return the highest voltages that two rows in turn have shown, of all rows and of those at rest.
 
         One row alone may be damaged. Rest ends with the first load.
         """
-        (first_V, rested_V), rows = self.seen, self.rows
+        (first_V, rested_V), rows = self.voltages, self.rows
         shown_V = min(volts, self.voltage_V) if rows else volts
         if rows < 2 or shown_V > first_V:
             first_V = shown_V
         if is_idle:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
-        return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
+        return self.voltages if (first_V, rested_V) == self.voltages else FirstVoltages(first_V, rested_V)
 
 
 def _strong(load: Means, capacity_Ah: float) -> Doubt:
     """A load that few packs of the stated capacity give for a minute."""
     is_certain = load.current_A > C_RATE[1] * capacity_Ah
     bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
-    return Doubt(
-        f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?", is_certain
-    )
+    words = f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?"
+    return Doubt(Notice(words, Kind.CAPACITY), is_certain)
 
 
 def _weak(current: Current, capacity_Ah: float) -> Doubt:
@@ -204,7 +209,7 @@ def _weak(current: Current, capacity_Ah: float) -> Doubt:
     is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
     bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
     words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
-    return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+    return Doubt(Notice(f"the stated {capacity_Ah:g} Ah gives {words}", Kind.CAPACITY), is_certain)
 
 
 def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
@@ -212,7 +217,8 @@ def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
     is_certain = current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
     share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
     words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
-    return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
+    words += ": is the capacity right, or does the current read high?"
+    return Doubt(Notice(words, Kind.CAPACITY), is_certain)
 
 
 def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
@@ -221,10 +227,11 @@ def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
         return None
     more = "more than twice" if power_W > high_W else "less than half"
     spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
-    return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
+    words = f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?"
+    return Doubt(Notice(words, Kind.POWER), False)
 
 
-def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
+def first_voltages(samples: Iterable[Sample], capacity_Ah: float = NAN) -> FirstVoltages:
     """Return the pack's highest voltages [V] before the load of a record, or of its first minutes.
 
     Where the current is metered and no capacity is given, none counts as rested.
@@ -237,8 +244,8 @@ def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
         is_idle = _is_idle(sample, capacity_Ah)
         if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
             break
-        found = found.shown(sample.voltage_V, is_idle)
-    return found.seen
+        found = found.with_voltage(sample.voltage_V, is_idle)
+    return found.voltages
 
 
 def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
@@ -251,9 +258,9 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
     guess = counts_of_cells(battery, options, said, first.voltage_V, first.current_A)[0]
     try:
-        seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
-        size = size_of_pack(battery, options, said, guess, seen=seen, rested_V=seen.rested_V)
-        return checked(battery, size, seen)
+        voltages = first_voltages(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
+        size = size_of_pack(battery, options, said, guess, voltages=voltages, rested_V=voltages.rested_V)
+        return checked(battery, size, voltages)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
 

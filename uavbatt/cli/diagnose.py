@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import ClosedLoop
     from uavbatt.diagnosis.diagnosis import Diagnosis
-    from uavbatt.fitting.observed import Observed
+    from uavbatt.fitting.observed import ObservedRecord
 
 
 def diagnose(
@@ -76,15 +76,12 @@ def diagnose(
     """
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
-    from uavbatt.battery.effects import EFFECTS
     from uavbatt.files import write_json
     from uavbatt.telemetry import read_log
 
     check_named(output)
     check_writable(json_file, report, output, reads=[*sources, packs])
-    unknown = [name for name in without or [] if name not in EFFECTS]
-    if unknown:
-        raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
+    _check_effects(without or [])
     content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if follow:
@@ -117,6 +114,15 @@ def diagnose(
         say(f"{path}: {new.certificate.status}", json_file, report)
 
 
+def _check_effects(names: list[str]) -> None:
+    """Raise UsageError for a name in `--without` that no effect has."""
+    from uavbatt.battery.effects import EFFECTS
+
+    unknown = next((name for name in names if name not in EFFECTS), None)
+    if unknown is not None:
+        raise UsageError(f"--without {unknown}: expected one of {', '.join(EFFECTS)}")
+
+
 def _run(
     content: BatteryFile,
     datasets: list[DataSet],
@@ -138,7 +144,7 @@ def _run(
     tests = data.load(gate) if gate is not None else None
     sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}
     series, capacity_Ah, cutoff_V = one_size(sizes)
-    records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
+    records: list[ObservedRecord] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
     records += [observed_of(f, series, capacity_Ah) for f in flights]
     options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
     base = base_pack(*remembered, flights, content, pack_from(content, options))

@@ -52,9 +52,9 @@ class Ledger:
 
     def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
         self.path = Path(path)
-        self._connection = _opened(self.path, only_read)
+        self._connection = _open(self.path, only_read)
         try:
-            with self._told():
+            with self._named_errors():
                 now = schema.check_schema(self._connection, self.path)
             if only_read and now == 0:
                 raise BadInput(self.path, "", "a pack ledger, found an empty file")
@@ -76,7 +76,7 @@ class Ledger:
         self._connection.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _named_errors(self) -> Iterator[None]:
         """Turn errors of SQLite and damaged rows into one line that names the file."""
         try:
             yield
@@ -88,13 +88,13 @@ class Ledger:
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
         """Yield the connection, for reading. Raises BadInput for a damaged or locked file."""
-        with self._told():
+        with self._named_errors():
             yield self._connection
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
         """Yield the connection inside one transaction: everything done with it is saved, or nothing."""
-        with self._told():
+        with self._named_errors():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -106,18 +106,18 @@ class Ledger:
 
     def packs(self) -> list[PackRow]:
         """Return all packs, by name."""
-        with self._told():
+        with self._named_errors():
             return [rows.pack_of(row) for row in self._connection.execute("SELECT * FROM packs ORDER BY name")]
 
     def pack(self, name: str) -> PackRow | None:
         """Return the pack of that name; None if there is none."""
-        with self._told():
+        with self._named_errors():
             row = self._connection.execute("SELECT * FROM packs WHERE name = ?", (name,)).fetchone()
             return rows.pack_of(row) if row is not None else None
 
     def flights(self, name: str) -> list[LedgerFlight]:
         """Return the flights of a pack in order of time, each with the belief after it."""
-        with self._told():
+        with self._named_errors():
             found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
@@ -135,7 +135,7 @@ class Ledger:
         return self._one(BEFORE, {"name": name, "key": key, "start": start})
 
     def _one(self, query: str, values: dict[str, object]) -> LedgerFlight | None:
-        with self._told():
+        with self._named_errors():
             row = self._connection.execute(query, values).fetchone()
             return rows.remembered_of(row) if row is not None else None
 
@@ -152,7 +152,7 @@ class Ledger:
         check_name(name, self.path, "pack")
         with self.writing() as connection:
             pack = _pack_id(connection, self.path, name, flights)
-            kept = [_kept(connection, pack, flight) for flight in flights]
+            kept = [_write_flight(connection, pack, flight) for flight in flights]
             every = _work_out(connection, pack, name)
             if landed is not None:
                 connection.execute("DELETE FROM airborne WHERE id = ?", (landed,))
@@ -180,7 +180,7 @@ def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHe
     return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
 
 
-def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
+def _open(path: Path, only_read: bool) -> sqlite3.Connection:
     if only_read and not path.exists():
         raise BadInput(path, "", "a pack ledger, found no such file")
     if path.is_dir():
@@ -233,7 +233,7 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
     return number
 
 
-def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
+def _write_flight(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
     """Write a flight, unless a longer record of it is there; return the key of the record that stays.
 
     The new record takes the number of the one it replaces, because the number orders flights without a clock.
@@ -249,7 +249,7 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
     if longest is not flight:
         return longest.key
     for other in same.values():
-        flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
+        flight = replace(flight, start_utc_s=_value_or(flight.start_utc_s, other.start_utc_s))
     if any(other.key == flight.key for number, other in every.items() if number not in gone):
         flight = flight.with_own_key()
     values = {**rows.flight_row(flight), "id": min(gone, default=None), "pack": pack, "findings": ""}
@@ -279,7 +279,7 @@ def _moment(row: sqlite3.Row) -> tuple[float, int]:
         return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
 
 
-def _known(value: float, other: float) -> float:
+def _value_or(value: float, other: float) -> float:
     return value if math.isfinite(value) else other
 
 

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
-from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
+from uavbatt.notice import Kind, kind_of
+from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number, sentence
 
 SD_90 = 1.64
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
 VOLTAGE_SHARE = 0.4  # of the time that the charge alone would give, from which on the voltage is worth a sentence
-OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
+OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that stand on the page in other words
 
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
@@ -25,7 +26,7 @@ def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]
         _charge_words(outcome),
         *_ended_by_voltage(outcome, resolved, steps),
         *_doubts(outcome, steps),
-        _checked(outcome, resolved),
+        _accuracy_words(outcome, resolved),
     ]
 
 
@@ -67,7 +68,7 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
         return []
     said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
     found = () if said is None else said.estimate.warnings
-    return [f"{sentence(w)}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
+    return [f"{sentence(w)}." for w in found if kind_of(w) not in OTHERWISE_SAID]
 
 
 def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
@@ -83,7 +84,7 @@ def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
     return [f"The alarm stood from {duration(since_s)} on: {chance} that less than 2 minutes were left."]
 
 
-def _checked(outcome: Outcome, resolved: PackSize) -> str:
+def _accuracy_words(outcome: Outcome, resolved: PackSize) -> str:
     """Return in words how accurate the forecasts were, if the log shows the end of flight."""
     if outcome.reserve_soc > 0.0:
         return f"{sentence(against_a_reserve(outcome.reserve_soc))}."

@@ -50,7 +50,7 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
 
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
-    kind, log = _read(source, data, system)
+    kind, log = _kind_and_rows(source, data, system)
     chosen = _chosen(source, log, instance)
     return Flight(
         source=source,
@@ -72,7 +72,7 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """Read the rows of one battery as numpy columns instead of objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(*content_of(Path(path)))
+    _, log = _kind_and_rows(*content_of(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
@@ -153,7 +153,7 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
+def _kind_and_rows(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
     """The kind of a log, and its rows; BadInput if it is none or has none."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")

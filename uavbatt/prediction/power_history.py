@@ -22,8 +22,8 @@ LONGEST_ROW_S = 30.0  # nobody knows what was asked in a longer gap
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 
 
-class PowersFlown(NamedTuple):
-    """PowersFlown holds the mean powers [W] of pieces of `piece_s` [s], the oldest first, and the open piece."""
+class PowerHistory(NamedTuple):
+    """PowerHistory holds the mean powers [W] of pieces of `piece_s` [s], the oldest first, and the open piece."""
 
     piece_s: float = SHORTEST_PIECE_S
     open_J: float = 0.0
@@ -42,7 +42,7 @@ class PowersFlown(NamedTuple):
         """Return the time of all closed pieces [s]."""
         return len(self.pieces_W) * self.piece_s
 
-    def after(self, power_W: float, dt_s: float) -> PowersFlown:
+    def after(self, power_W: float, dt_s: float) -> PowerHistory:
         """Return the same with `dt_s` [s] more at `power_W` [W]."""
         now, left_s = self, min(max(dt_s, 0.0), LONGEST_ROW_S)
         while now.open_s + left_s >= now.piece_s:
@@ -51,17 +51,17 @@ class PowersFlown(NamedTuple):
             left_s -= part_s
         return now._replace(open_J=now.open_J + left_s * power_W, open_s=now.open_s + left_s)
 
-    def _closed(self, piece_W: float) -> PowersFlown:
+    def _closed(self, piece_W: float) -> PowerHistory:
         """Return the same with one more piece; where there are too many, two become one."""
         pieces_W, piece_s = (*self.pieces_W, piece_W), self.piece_s
         if len(pieces_W) == MOST_PIECES:
             pieces_W = tuple(np.mean(np.reshape(pieces_W, (-1, 2)), axis=1).tolist())
             piece_s *= 2.0
-        return PowersFlown(piece_s, pieces_W=pieces_W)
+        return PowerHistory(piece_s, pieces_W=pieces_W)
 
     def blocks_W(self, block_s: float, most: int) -> Array:
         """Return the mean powers [W] of the last blocks of `block_s` [s], at most `most`; they end at `length_s`."""
-        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._drawn()
+        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._energy_until()
         edges_s = self.length_s - block_s * np.arange(count, -1, -1)
         return np.asarray(np.diff(np.interp(edges_s, at_s, drawn_J)) / block_s)
 
@@ -70,7 +70,7 @@ class PowersFlown(NamedTuple):
 
         It is relative to the mean, 1 where the flight has shown nothing yet.
         """
-        at_s, drawn_J = self._drawn()
+        at_s, drawn_J = self._energy_until()
         if not drawn_J[-1] > 0.0:
             return np.ones((edges_s.size - 1, count))
         turns, within_s = np.divmod(edges_s[:, None] + self.length_s * _begins(count), self.length_s)
@@ -78,7 +78,7 @@ class PowersFlown(NamedTuple):
         mean_W = drawn_J[-1] / self.length_s
         return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
 
-    def _drawn(self) -> tuple[Array, Array]:
+    def _energy_until(self) -> tuple[Array, Array]:
         """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
         drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
         return self.piece_s * np.arange(float(drawn_J.size)), drawn_J
