@@ -249,7 +249,7 @@ class Estimator:
         return cleaners, clean
 
     def _why_not_begin(self, sample: Sample) -> Estimate | None:
-        """The refused estimate of a row at which no filter may begin; None where one may."""
+        """Return the refused estimate of a row at which no filter may begin; None if one may."""
         if not math.isfinite(sample.voltage_V):
             return unknown(sample, "no voltage in this row")
         if self._known.refusal:  # these voltages cannot be those of the pack that is stated

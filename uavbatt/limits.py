@@ -41,28 +41,28 @@ POWER_FACTOR = 2.0  # beyond it another aircraft flew
 
 
 class Doubt(NamedTuple):
-    """A doubt says in words what speaks against a statement, and if that is certain."""
+    """A Doubt says in words what speaks against a statement, and if that is certain."""
 
     words: str
     is_certain: bool
 
 
 class Resting(NamedTuple):
-    """A rested cell of the battery file's type shows these voltages when it is empty and when little is left [V]."""
+    """Resting holds the voltages [V] of a rested cell of the battery file's type, empty and with little charge left."""
 
     empty_V: float = EMPTIEST_CELL_V
     low_V: float = 3.5
 
 
 class Seen(NamedTuple):
-    """Statements are held against these pack voltages [V]: of the first rows, and of them at rest; NaN until seen."""
+    """Seen holds pack voltages [V] to compare statements with: of the first rows, and at rest; NaN until seen."""
 
     first_V: float = math.nan
     rested_V: float = math.nan
 
 
 class Names(NamedTuple):
-    """A caller knows the checked arguments by these names."""
+    """Names holds the names by which the caller knows the checked arguments."""
 
     cells: str = "cells="
     capacity: str = "capacity_Ah="

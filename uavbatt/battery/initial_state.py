@@ -76,7 +76,7 @@ def joint(
 
 
 class _Read(NamedTuple):
-    """One hypothesis of the charge after the reading."""
+    """_Read holds one hypothesis of the charge after the reading."""
 
     likelihood: float
     mean: Array
@@ -84,7 +84,7 @@ class _Read(NamedTuple):
 
 
 def _read(p: Parameters, emf_V: float, soc: float, soc_sd: float, reading_sd_V: float, bias_sd_V: float) -> _Read:
-    """Kalman's update of (charge, discrepancy) by the reading, linear around `soc`."""
+    """Update (charge, discrepancy) by the reading with a Kalman filter that is linear around `soc`."""
     below, above = max(soc - SLOPE_WITHIN, 0.0), min(soc + SLOPE_WITHIN, 1.0)
     rise_V = float(model.open_circuit_voltage(p, above)) - float(model.open_circuit_voltage(p, below))
     row = np.array([max(rise_V / (above - below), LEAST_SLOPE_V), 1.0])

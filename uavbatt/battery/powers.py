@@ -124,7 +124,7 @@ def level_of(powers: Powers, columns: Array, power_W: float) -> float:
 
 
 def _shares(powers: Powers, columns: Array) -> tuple[Array, Array]:
-    """The share of the hover's power that the level scales, and what the air drags at any level.
+    """Return the share of the hover power that the level scales, and the share of drag, which it does not scale.
 
     Of an aircraft that nobody knows the level is the hover itself, and scales all.
     """

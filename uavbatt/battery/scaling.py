@@ -105,7 +105,7 @@ def monotone_cubic(at: Array, knots: Array, values: Array) -> Array:
 
 
 def _slopes(width: Array, chord: Array) -> Array:
-    """Slope at each knot from the chords between them: their weighted harmonic mean, 0 where the direction turns."""
+    """Return the slope at each knot: the weighted harmonic mean of both chords, 0 where the direction turns."""
     if width.size == 1:
         return np.concatenate([chord, chord], axis=-1)
     before, after = chord[..., :-1], chord[..., 1:]
@@ -119,7 +119,7 @@ def _slopes(width: Array, chord: Array) -> Array:
 
 
 def _end_slope(width: float, next_width: float, chord: Array, next_chord: Array) -> Array:
-    """Three-point slope at an end, kept from overshooting."""
+    """Return the three-point slope at an end, limited so that the curve does not overshoot."""
     slope = ((2.0 * width + next_width) * chord - width * next_chord) / (width + next_width)
     steep = (np.sign(chord) != np.sign(next_chord)) & (np.abs(slope) > 3.0 * np.abs(chord))
     return np.where(np.sign(slope) != np.sign(chord), 0.0, np.where(steep, 3.0 * chord, slope))
@@ -210,7 +210,7 @@ def pack_of(
 
 
 def _ocv_sd_V(file: BatteryFile) -> Array:
-    """Standard error of the open-circuit voltage on SOC_GRID, from those of its knots; 0 where none is stated."""
+    """Return the standard error of the OCV [V] on SOC_GRID, from those of its knots; 0 where none is stated."""
     table = file.parameters
     errors = [table.standard_error.get(f"ocv_{soc:g}", 0.0) for soc in table.ocv_soc]
     return np.asarray(np.interp(SOC_GRID, np.array(table.ocv_soc), np.array(errors)))
@@ -223,7 +223,7 @@ def _drift_sd_V(ocv_sd_V: Array, least: float) -> Array:
 
 
 def _lag_share(file: BatteryFile, quantity: str) -> float:
-    """Relative error of an effect's quantity, between 10 % and 80 %; alone, where it was fitted with the others."""
+    """Return the relative error of an effect's quantity, 0.1 to 0.8: its own part, not what it shares with others."""
     share = ALONE_SHARE.get(file.status, 1.0)
     for entry in file.effects:
         if entry.parameters.get(quantity):

@@ -43,7 +43,7 @@ CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 @dataclass(frozen=True, slots=True)
 class PackOptions:
-    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number is impossible.
+    """PackOptions holds what the caller states of the pack; None or NaN is not stated. Raises UsageError if impossible.
 
     fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; spelt : the names by which the
     caller knows these numbers; what is said of them later uses the names.
@@ -239,7 +239,7 @@ def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFact
 
 
 def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
-    """The capacity [Ah] and where it came from, `said` as it is believed."""
+    """Return the capacity [Ah] and its source; `said` holds the vehicle's statements that are believed."""
     typed_Ah = battery.battery.capacity_Ah
     by = _by(given.spelt.capacity)
     return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
@@ -248,7 +248,7 @@ def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tupl
 def _endings(
     typed: Battery, given: PackOptions, said: PackFacts, cells: int
 ) -> tuple[tuple[float, str], tuple[float, str]]:
-    """The cut-off and the low-voltage warning of the pack [V], each with where it came from."""
+    """Return the cut-off and the low-voltage warning of the pack [V], each with its source."""
     share = cells / typed.cells_series
     cutoff = _first(
         (given.cutoff_V, _by(given.spelt.cutoff)),
@@ -267,7 +267,7 @@ def _endings(
 def _cells(
     given: PackOptions, said: PackFacts, guess: tuple[int, str], seen: Seen, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
-    """The count of cells, where it came from, and the vehicle's own if it was not believed."""
+    """Return the count of cells, its source, and a notice if the vehicle's own count is not believed."""
     if given.cells is not None:
         by = _by(given.spelt.cells)
         if said.cells_series in (None, given.cells):
@@ -289,7 +289,7 @@ def _by(name: str) -> str:
 
 
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
-    """The first candidate that is known, with its source; NaN and the last source when none is."""
+    """Return the first candidate that is known, with its source; NaN and the last source if none is known."""
     for value, source in candidates:
         if value is not None and math.isfinite(value):
             return float(value), source

@@ -191,7 +191,7 @@ class Statements(NamedTuple):
 
 
 def _strong(load: Means, capacity_Ah: float) -> Doubt:
-    """A load that few packs of the stated capacity give for a minute."""
+    """Return the doubt about a capacity for which the load of a minute is too high."""
     is_certain = load.current_A > C_RATE[1] * capacity_Ah
     bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
     return Doubt(
@@ -200,7 +200,7 @@ def _strong(load: Means, capacity_Ah: float) -> Doubt:
 
 
 def _weak(current: Current, capacity_Ah: float) -> Doubt:
-    """A load that is light for the stated capacity, under which the voltage falls as under a heavy one."""
+    """Return the doubt about a capacity for which the load is light, though the voltage falls as under a heavy one."""
     is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
     bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
     words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
@@ -208,7 +208,7 @@ def _weak(current: Current, capacity_Ah: float) -> Doubt:
 
 
 def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
-    """More charge was drawn than is stated, the cells far from empty."""
+    """Return the doubt about a capacity less than the charge drawn while the cells are still far from empty."""
     is_certain = current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
     share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
     words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
@@ -216,7 +216,7 @@ def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
 
 
 def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
-    """A mean power [W] that the range stated of this aircraft does not hold."""
+    """Return the doubt about a mean power [W] far outside the range that is stated of this aircraft; None if inside."""
     if low_W / POWER_FACTOR <= power_W <= high_W * POWER_FACTOR:
         return None
     more = "more than twice" if power_W > high_W else "less than half"
@@ -277,7 +277,7 @@ def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
 
 
 def _is_idle(sample: Sample, capacity_Ah: float) -> bool:
-    """True if a row shows a pack at rest, or one that only its avionics draw from."""
+    """Return True if a row shows a pack at rest, or a pack that supplies only avionics."""
     if math.isfinite(sample.current_A):
         return abs(sample.current_A) <= IDLE_C_RATE * capacity_Ah
     return sample.armed is False

@@ -53,7 +53,7 @@ def run(config: Config) -> None:
     tell(f"waiting for telemetry from {config.link.endpoint}; {_feeds(config)}")
 
     def is_stopped() -> bool:
-        """The terminal may be gone (a lost connection of ssh): no flight ends with it."""
+        """Return True if the process must end; a hangup counts only while disarmed: a lost ssh ends no flight."""
         return bool(told - {signal.SIGHUP}) or (bool(told) and daemon.armed is not True)
 
     daemon.run(is_stopped)

@@ -38,7 +38,7 @@ COURSES: tuple[Course, ...] = get_args(Course)
 
 @dataclass(frozen=True, slots=True)
 class Freed:
-    """A quantity that a refit frees: QUANTITIES[index], moved from its start by `scale` times u within the bounds."""
+    """Freed is a quantity that a refit frees: QUANTITIES[index] = start + `scale` times u, within its bounds."""
 
     index: int
     start: float
@@ -70,7 +70,7 @@ class Freed:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect, or several that are refitted together.
+    """A Candidate is one effect, or several that are refitted together.
 
     `names` has the name of each effect, `sizes` the number of its quantities among `freed`. With `free_start` every
     record has a starting charge of its own, around a shift that all share.

@@ -34,7 +34,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class EffectClass:
-    """The effects that these records cannot tell apart, best first."""
+    """An EffectClass holds the effects that these records cannot tell apart, best first."""
 
     members: tuple[str, ...]
     probability: float
@@ -68,7 +68,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 @dataclass(frozen=True, slots=True)
 class HiddenSize:
-    """The size of an effect that could be present unseen: its first quantity from `lo` to `hi` (95 % interval)."""
+    """HiddenSize says how large an effect could be unseen: its first quantity from `lo` to `hi` (95 % interval)."""
 
     name: str
     quantity: str

@@ -162,7 +162,7 @@ def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) ->
 
 
 def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
-    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
+    """Search for effects in records whose starts are settled; impossible and known effects are no candidates."""
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]

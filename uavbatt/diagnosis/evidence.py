@@ -132,7 +132,7 @@ def _long_enough(record: Observed) -> bool:
 
 
 def _change(records: list[Observed]) -> float:
-    """Spread of the current under load over all records, rest left out, relative."""
+    """Return the relative spread of the current under load over all records, without the rows at rest."""
     loads = []
     for record in records:
         binned = observed.binned(record).current_A
@@ -171,7 +171,7 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
 
 
 def _wander(file: BatteryFile, cells: float) -> Wander:
-    """The file's wander for a pack of `cells`; in a file without one, its RMSE is the same at every charge."""
+    """Return the file's wander for a pack of `cells`; a file without one gets its RMSE at every charge."""
     left, share = file.discrepancy, cells / file.battery.cells_series
     known = left.wander
     if known is None:
@@ -244,7 +244,7 @@ def _voltage_whitener(
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
-    """Error of the voltage [V] at each charge of the table that comes of the capacity's own.
+    """Return the error of the voltage [V] at each charge of the table that an error of the capacity causes.
 
     Where a pack runs empty a hundredth of its capacity is half a volt: a flight that goes deeper than those which the
     wander was learned on would bend everything else to meet it.
@@ -255,7 +255,7 @@ def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Arr
 
 
 def _cold(known: Wander, start_C: float) -> float:
-    """Factor of the model's error for a flight that begins colder than any that it was learned on."""
+    """Return the factor on the model's error for a flight that begins colder than all flights it was learned on."""
     if known.coldest_C is None or not np.isfinite(start_C):
         return 1.0
     return float(2.0 ** (max(known.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
@@ -277,7 +277,7 @@ def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) 
 
 
 def _shifted(records: list[Observed], stack: Stack) -> Array:
-    """The current `SHIFTS_S` later, averaged like the record itself."""
+    """Return the current `SHIFTS_S` later, averaged in the same way as the record."""
     out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
     for j, record in enumerate(records):
         bin_s = observed.BIN_S if np.median(np.diff(record.time_s)) < 0.9 * observed.BIN_S else 0.0

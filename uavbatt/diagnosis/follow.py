@@ -44,7 +44,7 @@ LEAST_FLIGHTS = 2
 
 @dataclass(frozen=True, slots=True)
 class FollowedEffect:
-    """One effect with its course; flights are counted from 0 in order of time."""
+    """A FollowedEffect is one effect with its course; flights are counted from 0 in order of time."""
 
     found: EffectClass
     course: Course
@@ -58,7 +58,7 @@ class FollowedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Follow:
-    """The flights in order of time, the verdict, and the effects that were found."""
+    """Follow holds the flights in order of time, the verdict, and the effects that were found."""
 
     verdict: Verdict
     flights: tuple[str, ...]
@@ -110,7 +110,7 @@ def follow(
 
 
 class _Tried(NamedTuple):
-    """The refit of one effect on one course."""
+    """_Tried holds the refit of one effect on one course."""
 
     option: Candidate
     course: Course
@@ -118,7 +118,7 @@ class _Tried(NamedTuple):
 
 
 class _Trace(NamedTuple):
-    """An effect that was found, with its course and the other flights at which it may have begun."""
+    """_Trace holds a found effect with its course, and the other flights at which it may have begun."""
 
     effect: FoundEffect
     course: Course

@@ -27,7 +27,7 @@ TRIED = 12  # pairs that are weighed against each other
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """The refit of two effects, with the families and the likelihoods of all pairs that passed."""
+    """Pair holds the refit of two effects, with the families and the likelihoods of all pairs that passed."""
 
     fit: Refit
     kinds: tuple[frozenset[frozenset[str]], ...]
@@ -74,7 +74,7 @@ def _seeds(singles: Trial) -> list[Refit]:
 
 
 def _earned(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
-    """The pairs of which each effect earns its place beside the other, by chi-square."""
+    """Return, by chi-square, the pairs in which each effect is worth enough beside the other."""
     tried: list[Candidate] = []
     starts: list[Refit] = []
     for seed in _seeds(singles):

@@ -27,7 +27,7 @@ SEATED = 0.95  # of the rivals' probability: a class has room for so much of it 
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """A found effect: the refits (`members`) that the records cannot tell apart, best first, and their worth."""
+    """FoundEffect holds the refits (`members`) that the records cannot tell apart, best first, and their worth."""
 
     members: tuple[Refit, ...]
     worth: Worth

@@ -20,7 +20,7 @@ FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The worth of each single effect beside the effects of the model."""
+    """Trial holds the worth of each single effect beside the effects of the model."""
 
     before: Refit
     fits: tuple[Refit, ...]  # by chi-square

@@ -43,7 +43,7 @@ class Constancy:
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """The evidence for one effect of a refit, compared with the model without it."""
+    """Worth holds the evidence for one effect of a refit, compared with the model without it."""
 
     gains: Array  # chi-square saved on each record with the values from the other records
     most: float  # chi-square saved with no record left out; the worth cannot be more than that

@@ -65,7 +65,7 @@ NOT_BEGUN = Filtered(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
-    """The filter takes in the samples of one battery and holds the belief about it.
+    """SocFilter takes in the samples of one battery and holds the belief about it.
 
     The belief is a sum of Gaussians, one for each capacity that the pack may have (`battery.capacity_prior`): each is
     an extended Kalman filter of its own, and the readings weigh them.

@@ -51,7 +51,7 @@ MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad c
 
 
 class Innovations(NamedTuple):
-    """The mean of the normalised innovation squared over about a minute.
+    """Innovations holds the mean of the normalised innovation squared over about a minute.
 
     high_since_s : the time since which it is too large [s], NaN while it is not; time_s : time of the last block [s].
     """
@@ -71,7 +71,7 @@ class Innovations(NamedTuple):
 
 
 class Monitor(NamedTuple):
-    """The readings seen so far, and the doubts and refusals that follow from them."""
+    """Monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
 
     readings: SinceMoved = SinceMoved()
     load: LoadWatch = LoadWatch()

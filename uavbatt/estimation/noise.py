@@ -68,7 +68,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class First(NamedTuple):
-    """The first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """First holds the first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array
@@ -161,7 +161,7 @@ def rested_variance(pack: Pack, soc: Number) -> Number:
 
 
 class Air(NamedTuple):
-    """The temperature of the air around the pack [°C], its apparent error, and if it is known to be wrong.
+    """Air holds the temperature of the air around the pack [°C], its apparent error, and if it is known to be wrong.
 
     off_sds : the excess of the pack's temperature over the expected one, in standard deviations, smoothed; NaN if the
     user stated the temperature of the air, which is then used as it is.

@@ -35,14 +35,14 @@ COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off tak
 
 
 class Bounds(NamedTuple):
-    """The lowest and highest voltage that the believed pack can show at rest, per cell [V]."""
+    """Bounds holds the lowest and the highest voltage that the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
 
 
 class Silence(NamedTuple):
-    """The data that tell the old pack from another one after a silence that ended at `over_s` [s].
+    """Silence holds the data that tell the old pack from another one after a silence that ended at `over_s` [s].
 
     counted_Ah : the autopilot's counter before it [Ah]; may_fly_on : it is short and began under a load that flies, and
     the first row after it is as the old pack would be.
@@ -63,7 +63,7 @@ class Silence(NamedTuple):
 
 
 class SwapWatch(NamedTuple):
-    """The last row with a pack in the aircraft, and the number of consecutive rows that have shown another pack.
+    """SwapWatch holds the last row with a pack, and how many rows in turn have shown another pack.
 
     seen_s, current_A, consumed_Ah, belief : time [s], current [A], counter [Ah] and belief of that row.
     """

@@ -234,7 +234,7 @@ def _start_temp(record: Observed) -> float:
 
 
 def _split(record: Observed) -> dict[str, Array]:
-    """Rows and the steps between them; `real` is 1 at measured rows."""
+    """Return the rows with steps filled in between them; `real` is 1 at measured rows."""
     time_s = record.time_s
     spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])
     pieces = [np.array([time_s[0]])]

@@ -78,7 +78,7 @@ def _power_W(sensors: Installation, sample: Sample) -> float:
 
 
 def _blocks(table: Array) -> PowerRows:
-    """Means over blocks of BLOCK_S of rows (time, power, airspeed, climb, taking off, landing, length)."""
+    """Return means over blocks of BLOCK_S of rows (time, power, airspeed, climb, taking off, landing, length)."""
     _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
     lengths_s = np.bincount(block, table[:, -1]).astype(float)
     power_W, airspeed_ms, climb_ms, taking_off, landing = (
@@ -88,7 +88,7 @@ def _blocks(table: Array) -> PowerRows:
 
 
 def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
-    """The shape of all flights and the hover of each in turns; the misfit and the powers."""
+    """Fit the law of all flights and the hover power of each, in turns; return the misfit and the powers."""
     columns = plain = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
     counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
@@ -127,13 +127,13 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
 
 
 def _fastest_ms(told: list[PowerRows]) -> float:
-    """The airspeed [m/s] of the fastest block; other aircraft tell the law up to KNOWN_MS."""
+    """Return the airspeed [m/s] of the fastest block, at least KNOWN_MS, which other aircraft have shown."""
     airspeed_ms = np.concatenate([rows.airspeed_ms for rows in told])
     return max(KNOWN_MS, _rounded(float(np.quantile(airspeed_ms, FASTEST_SHARE)), 1))
 
 
 def _dragged(columns: Array, level: float) -> Array:
-    """The columns of a flight at this level, per hover power of its own: the air drags at a payload's no more."""
+    """Return the columns of a flight at this level, per hover power: a payload does not add to the drag of the air."""
     return columns / np.where(np.array(TERMS) == "drag", level, 1.0)
 
 
@@ -155,7 +155,7 @@ def _unusual(told: list[PowerRows], left: list[Array]) -> Array:
 
 
 def _spread(values: Array, prior: float) -> float:
-    """Their standard deviation, with the prior counting as two flights."""
+    """Return the standard deviation of the values; the prior counts as two flights."""
     return math.sqrt((float(np.sum(np.square(values))) + 2.0 * prior**2) / (len(values) + 2.0))
 
 

@@ -99,7 +99,7 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
 
 
 def _airborne(watts: Array) -> tuple[int, int]:
-    """First and last row of the flight: from half to `LANDING_SHARE` of the power that is usual in the air."""
+    """Return the first and the last row with more than `LANDING_SHARE` of the power that is usual in the air."""
     usual_W = float(np.median(watts[watts > 0.3 * np.percentile(watts, 90)]))
     high = np.flatnonzero(watts > LANDING_SHARE * usual_W)
     return int(high[0]), int(high[-1])

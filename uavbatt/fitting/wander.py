@@ -76,7 +76,7 @@ def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array)
 
 
 def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool) -> Array:
-    """exp of the most probable (ln sd at SOC, ln tau, ln noise); one sd for all charges without `neighbours`."""
+    """Return exp of the most probable (ln sd at SOC, ln tau, ln noise); without `neighbours` one sd for all charges."""
 
     def unpacked(u: Array) -> tuple[Array, Array, Array]:
         sd = u[:, :-2] if neighbours else np.repeat(u[:, :1], SOC.size, axis=1)

@@ -82,7 +82,7 @@ def _local(pattern: str) -> Iterator[LogFile]:
 
 
 def _is_log(file: Path) -> bool:
-    """True for the suffix of a log, behind which there may be that of gzip."""
+    """Return True if the name ends as that of a log, packed by gzip or not."""
     name = PurePath(file.name.lower().removesuffix(".gz"))
     return name.suffix in SUFFIXES
 
@@ -107,7 +107,7 @@ def _remote(pattern: str) -> Iterator[LogFile]:
 
 
 def _address(pattern: str, file: Any) -> str:
-    """The whole address of one file of a pattern; inside an archive, the archive's address stays behind it."""
+    """Return the whole address of one file of a pattern; in an archive the archive's address stays behind it."""
     outer = pattern.partition("::")[2]
     if outer:
         return f"{pattern.partition('://')[0]}://{file.path}::{outer}"

@@ -172,7 +172,7 @@ def _worked_off(
 def _sent_out(
     crew: Crew[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
 ) -> Iterator[tuple[int, Row]]:
-    """(number of the log, its row) as they come back."""
+    """Send out the errands, and yield (number of the log, its row) as they come back."""
     each, sent = len(to_do) // crew.size, 0
     for done in range(len(to_do)):
         while sent < len(to_do) and sent - done < _UNDER_WAY_PER_WORKER * crew.size:

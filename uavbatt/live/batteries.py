@@ -196,7 +196,7 @@ class Batteries:
         return PackKeeper(Path(packs.file), packs.name, self._battery, self._options, self._utc_s)
 
     def _utc_s(self, now_s: float) -> float:
-        """Seconds since 1970 at a monotonic time [s]; NaN while the clock is not set."""
+        """Return the seconds since 1970 at a monotonic time [s]; NaN while the clock is not set."""
         clock = self._clocks(now_s)
         return clock.wall_s if clock.is_clock_set else math.nan
 

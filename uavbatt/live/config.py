@@ -29,7 +29,7 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file: immutable, and unknown keys are errors."""
+    """Section is a section of the file: immutable, and unknown keys are errors."""
 
 
 class LinkSection(Section, frozen=True):

@@ -50,7 +50,7 @@ class PackKeeper:
         options: PackOptions,
         utc_s: Callable[[float], float],
     ) -> None:
-        """`utc_s` turns a monotonic time [s] into seconds since 1970, NaN while the clock is not set."""
+        """Open the ledger; `utc_s` turns a monotonic time [s] into seconds since 1970, NaN without a set clock."""
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, KeptBattery] = {}

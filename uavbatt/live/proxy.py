@@ -81,7 +81,7 @@ class Messages:
 
 
 class Control:
-    """The control socket has one client, the newest; a client that is slow or gone is dropped."""
+    """Control is the control socket. It has one client, the newest; a client that is slow or gone is dropped."""
 
     def __init__(self, path: str) -> None:
         self._path, self._messages = path, Messages()

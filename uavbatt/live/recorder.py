@@ -137,7 +137,7 @@ class Recorder:
         return next(name for name in names if not (self._folder / f"{name}.tlog").exists())
 
     def _look(self, now_s: float) -> None:
-        """Every LOOK_S, close a file that has reached its size limit, and stop if the disk is too full."""
+        """Check the files every LOOK_S: close one that has reached its size limit, stop if the disk is too full."""
         self._look_s = now_s + LOOK_S
         assert self._raw is not None
         if self._raw.tell() > self._settings.max_file_MB * MB:

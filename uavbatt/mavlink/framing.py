@@ -75,7 +75,7 @@ def header(frame: bytes) -> Header:
 
 
 def _next_mark(data: bytes, position: int) -> int:
-    """The next byte that could begin a frame; the end of the data if there is none."""
+    """Return the place of the next byte that could begin a frame; the end of the data if there is none."""
     found = [at for mark in (b"\xfe", b"\xfd") if (at := data.find(mark, position)) >= 0]
     return min(found, default=len(data))
 

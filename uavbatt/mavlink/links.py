@@ -191,7 +191,7 @@ class StreamLink:
         return self._pipe
 
     def _connected(self, now_s: float) -> Pipe | None:
-        """A connection that is being made counts as closed; OSError when it failed."""
+        """Return the connection once it is made; None until then. Raises OSError if it failed."""
         if self._connecting is None:
             address = self._resolver.address()
             if address is None:
@@ -212,7 +212,7 @@ class StreamLink:
 
 
 def _speed(at: Endpoint) -> int:
-    """The system's own number for a baud rate."""
+    """Return the system's own number for a baud rate."""
     import termios
 
     speed: int | None = getattr(termios, f"B{at.port}", None)
@@ -222,7 +222,7 @@ def _speed(at: Endpoint) -> int:
 
 
 def _serial(at: Endpoint) -> int:
-    """A raw, non-blocking serial line; OSError when it is not there, is no serial line, or another program reads it.
+    """Open a raw, non-blocking serial line. Raises OSError if there is none, or if another program reads it.
 
     Of two readers each would get a part of every frame.
     """

@@ -36,7 +36,7 @@ BEFORE = f"""
 
 
 class AnotherSize(BadInput):
-    """A flight whose pack has another number of cells than the pack of its name raises this error.
+    """AnotherSize says that a flight's pack has another number of cells than the known pack of this name.
 
     index : the flight's place among those to be saved
     """

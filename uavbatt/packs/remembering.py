@@ -95,7 +95,7 @@ def flight_for_ledger(
 
 
 def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:
-    """The first and the last estimate over some rows, and the belief after them."""
+    """Return the first and the last estimate over some rows, and the belief after them."""
     if not rows:
         return [], None
     estimates = [estimate for estimate, _ in estimator.run(rows)]
@@ -103,7 +103,7 @@ def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], 
 
 
 def _last_loaded(rows: Sequence[Sample]) -> int | None:
-    """Index of the last row under load; None without LEAST_LOADED_S of load."""
+    """Return the index of the last row under load; None without LEAST_LOADED_S of load."""
     if len(rows) < 2:
         return None
     current_A = np.array([row.current_A for row in rows])

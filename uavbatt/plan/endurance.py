@@ -181,7 +181,7 @@ def is_outside(battery: BatteryFile, ambient_C: float) -> bool:
 
 
 def _range(battery: BatteryFile) -> tuple[float, float, str]:
-    """Lowest and highest temperature [°C] that were validated, else fitted; NaN where none is stated."""
+    """Return the lowest and the highest validated temperature [°C], else the fitted ones; NaN if none is stated."""
     certificate = battery.certificate
     if certificate.validated_ambient_C:
         return min(certificate.validated_ambient_C), max(certificate.validated_ambient_C), "validated"

@@ -182,13 +182,13 @@ def _fit(
 
 
 def _with_charge_shown(route: Route) -> Route:
-    """The route with a charge at touchdown that a pack can have, and none where most flights end before it."""
+    """Return the route with a charge at touchdown that a pack can have; NaN if most flights end before touchdown."""
     lo, middle, hi = _shown((route.soc_lo, route.soc, route.soc_hi), route.risk)
     return replace(route, soc=middle, soc_lo=lo, soc_hi=hi)
 
 
 def _shown(charge: Iterable[float], ended: float) -> tuple[float, ...]:
-    """The quantiles of a charge as they are shown where a share `ended` of the draws does not come."""
+    """Return the quantiles of a charge, within 0 to 1; NaN if too large a share `ended` of the draws ends before."""
     return tuple(math.nan if ended > NOT_REACHED else min(max(float(soc), 0.0), 1.0) for soc in charge)
 
 

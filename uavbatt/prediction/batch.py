@@ -73,7 +73,7 @@ def _together(few: list[Question]) -> list[EndTimes]:
     steps = max(q.dt_s.size for q in few)
 
     def on(values: Iterable[Array]) -> Array:
-        """[steps, questions, ...], each going on as it ended."""
+        """Return [steps, questions, ...]: shorter questions go on with their last step."""
         every = list(values)
         out = np.empty((steps, len(every), *every[0].shape[1:]))
         for n, value in enumerate(every):

@@ -109,7 +109,7 @@ class Flown(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float, times: float) -> Flown:
-        """Begin the flight at this row if the power is so many times any before: that was spool-up, or waiting.
+        """Begin the flight at this row if its power is far above all power before it, which was spool-up or waiting.
 
         The mean alone would be exceeded by every burst of a motor that runs by turns.
         """

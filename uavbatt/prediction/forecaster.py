@@ -227,7 +227,7 @@ class Forecaster:
         return None if question is None else self._forecast(question, end_times(question))
 
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
-        """Quantiles of the simulated ends."""
+        """Return the quantiles of the simulated ends."""
         time_s, horizon_s = question.time_s, question.horizon_s
         fresh = EndTimes(*(np.sort(np.minimum(_spread(question, times_s), horizon_s)) for times_s in ends))
         if question.at_take_off is not None:
@@ -282,6 +282,6 @@ def _step_s(load: Load, typical_s: float) -> float:
 
 
 def _spread(question: Question, times_s: Array) -> Array:
-    """Return the ends of the samples [s], each moved within its step: a step does not say when in it a load comes."""
+    """Return the ends [s], each moved within its step, because a step does not tell when within it a load begins."""
     within_s = question.unresolved_s * sampling.within_step()
     return np.asarray(np.where(times_s > 0.0, np.maximum(times_s + within_s, 0.0), times_s))

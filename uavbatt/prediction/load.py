@@ -87,7 +87,7 @@ def equal_levels(spread: float, count: int) -> Array:
 
 @cache
 def _middles(count: int) -> Array:
-    """Standard normals in the middle of `count` equal shares of probability."""
+    """Return standard normals in the middle of `count` equal shares of probability."""
     return np.array([NormalDist().inv_cdf((k + 0.5) / count) for k in range(count)])
 
 

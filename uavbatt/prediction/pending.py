@@ -71,7 +71,7 @@ def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Esti
 
 
 def _finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
-    """The same of rows whose forecasts are simulated at once."""
+    """Yield the results of rows whose forecasts are simulated at once, as `finished` does."""
     ends = iter(answers([row.question for row in waiting if row.question is not None]))
     for row in waiting:
         yield row.finish(next(ends) if row.question is not None else None)

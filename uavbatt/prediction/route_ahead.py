@@ -81,7 +81,7 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 
 def way_of(progress: Progress) -> Way:
-    """Return the timing and the wind by which legs will be flown, from those flown so far."""
+    """Return the timing and the wind for the legs to come, as learned from the legs flown so far."""
     known = progress.lessons
     return Way(known.short, known.long, known.wind)
 
@@ -116,7 +116,7 @@ def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:
-    """Return True if the aircraft flies straight towards home, or is there, so that the rest of its track is a line."""
+    """Return True if the aircraft flies straight towards home, or is there: the rest of its track is then a line."""
     distance_m, position = math.hypot(here.north_m, here.east_m), navigation.position
     if distance_m < OVER_HOME_M or position is None:
         return True
@@ -126,7 +126,7 @@ def _heads_home(here: Point, navigation: Navigation) -> bool:
 
 
 def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
-    """Return the rest of the present return: its climb is over when the aircraft moves towards home or is over home.
+    """Return the rest of the present return; its climb is over once the aircraft nears home, or is over home.
 
     Over home it waits until it descends; when this wait began is not known.
     """
@@ -141,7 +141,7 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
-    """The rest of the route where only the autopilot's progress is known: the legs of the present item by the clock."""
+    """Return the rest of the route by the clock, for an aircraft whose position is not known."""
     table, item = progress.path.table, progress.item
     present = way.pieces(table.of(item))
     flown_s = max(time_s - progress.leg_since_s, 0.0)
@@ -151,7 +151,7 @@ def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
 
 
 def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Pieces:
-    """The rest of the route from where the aircraft is."""
+    """Return the rest of the route from the position of the aircraft."""
     later = progress.path.table.of(slice(progress.at + progress.behind + 1, None))
     return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later), is_flying=True)
 

@@ -51,13 +51,13 @@ def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, 
 
 
 def _has_sunk(leg: Leg, here: Point, position: Position | None) -> bool:
-    """True where the aircraft descends below the end of a leg."""
+    """Return True if the aircraft descends below the end of a leg."""
     is_below = here.height_m < leg.end.height_m - ARRIVED_M and math.dist(here[:2], leg.end[:2]) < ASTRAY_M
     return is_below and not (position is not None and position.up_ms > -SINKING_MS)
 
 
 def _is_on_circle(circle: Leg, here: Point, position: Position | None) -> bool:
-    """True where the autopilot has reached the edge, as ArduCopter does, or the centre, and nears it no more."""
+    """Return True if the aircraft is on its circle: it has reached its edge or centre, and nears it no more."""
     north_m, east_m = circle.end.north_m - here.north_m, circle.end.east_m - here.east_m
     centre_m = math.hypot(north_m, east_m)
     if centre_m > circle.circle_m + ARRIVED_M or abs(here.height_m - circle.end.height_m) > ARRIVED_M:

@@ -12,7 +12,7 @@ from uavbatt.battery.model import Array
 
 
 class Phase(IntEnum):
-    """A leg belongs to one of these phases of a flight."""
+    """A Phase names the part of a flight to which a leg belongs."""
 
     TAKE_OFF = 0
     ROUTE = 1
@@ -21,7 +21,7 @@ class Phase(IntEnum):
 
 
 class Point(NamedTuple):
-    """A point lies so many metres north and east of home, and above it."""
+    """A Point is a place in metres north and east of home, and above it."""
 
     north_m: float
     east_m: float
@@ -29,7 +29,7 @@ class Point(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """A leg is a straight way from one point to another with its speed limits, and the wait at its end."""
+    """A Leg is a straight way from one point to another with its speed limits, and the wait at its end."""
 
     seq: int  # of the mission item; -1 on the way home
     phase: Phase

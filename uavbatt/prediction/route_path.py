@@ -84,7 +84,7 @@ def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
 
 
 def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
-    """The height at which the autopilot flies home: never below its own."""
+    """Return the height at which the autopilot flies home; it is never below the present height."""
     asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
     cone = finite_or(settings.return_cone_slope, math.inf)
     asked_m = min(asked_m, cone * run_m)
@@ -160,7 +160,7 @@ def returned(legs: list[Leg], settings: ReturnSettings) -> Path:
 
 
 def _flown(mission: Mission) -> Iterator[MissionItem | None]:
-    """The items in the order in which they are flown; None when there is no end of it."""
+    """Yield the items in the order in which they are flown; None for a mission without an end."""
     by_seq = {item.seq: index for index, item in enumerate(mission.items)}
     left = {item.seq: item.repeats for item in mission.items if item.action is Action.JUMP}
     index = 1 if mission.has_home_item and mission.items and mission.items[0].seq == 0 else 0
@@ -178,13 +178,13 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
 
 
 def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _Speeds:
-    """The speeds after an item that changes one; without a speed it is the vehicle's own again."""
+    """Return the speeds after an item that changes one; an item without a speed restores the vehicle's own."""
     kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
     return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(_speeds(settings), kind))})
 
 
 def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
-    """The legs of one item, or why they are not known."""
+    """Return the legs of one item, or the reason why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"
     if item.action in (Action.OTHER, Action.JUMP):
@@ -214,7 +214,7 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
 
 
 def _at_height(item: MissionItem, at: Point) -> MissionItem:
-    """A landing flies to its place at the height where it begins."""
+    """Return the landing with the height where it begins: the vehicle flies to the place at that height."""
     return MissionItem(item.seq, item.action, item.lat_deg, item.lon_deg, at.height_m)
 
 

@@ -107,14 +107,14 @@ class Way(NamedTuple):
         return moving_s, sd_s
 
     def _airspeed_ms(self, leg: LegsTable, moving_s: Array) -> Array:
-        """Speed through the air; on a curve the wind comes from everywhere."""
+        """Return the speed through the air; on a curve the wind comes from every side."""
         north_ms, east_ms = leg.north_m / moving_s - self.wind[0], leg.east_m / moving_s - self.wind[1]
         on_curve_ms = np.hypot(leg.run_m / moving_s, np.hypot(*self.wind))
         return np.where(leg.run_m > CURVE * np.hypot(leg.north_m, leg.east_m), on_curve_ms, np.hypot(north_ms, east_ms))
 
 
 def _stops_before(leg: LegsTable) -> Column:
-    """True for each leg that begins from rest: after a wait, and round a sharp corner."""
+    """Return True for each leg that begins from rest: after a wait, or after a sharp corner."""
     north_m, east_m = leg.north_m, leg.east_m
     length_m = np.hypot(north_m, east_m)
     along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]

@@ -67,7 +67,7 @@ class Progress(NamedTuple):
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
-        """Return the progress at a position; whether it is steady follows from the velocity TOLD_PERIOD_S ago."""
+        """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
         is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
         return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
 
@@ -90,7 +90,7 @@ class Progress(NamedTuple):
         return moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, behind=0, behind_s=since_s, arrived_s=NAN)
 
     def _replanned(self, found: Path, is_same_mission: bool) -> Progress:
-        """On another path. Where home or a speed has changed, not the mission, the progress on its items stays."""
+        """Return the progress on another path; the same mission with another home or speed keeps its progress."""
         if found == self.path:  # the same mission uploaded twice changes nothing
             return self
         changed = self._replace(path=found, is_timed=False)  # the running leg began on the other path
@@ -100,7 +100,7 @@ class Progress(NamedTuple):
         return fresh if found.legs[self.at].phase is Phase.HOME else changed  # a return flies to the new home
 
     def _is_alike(self, found: Path) -> bool:
-        """True if the other path has the same items as far as the one that is flown, in as many legs."""
+        """Return True if the other path has the same items, in as many legs, up to the one that is flown."""
         last = self.item.stop + 1
         return [leg.seq for leg in found.legs[:last]] == [leg.seq for leg in self.path.legs[:last]]
 
@@ -120,7 +120,8 @@ class Progress(NamedTuple):
         return self.path.legs[self.at + self.behind]
 
     def _followed(self, time_s: float, navigation: Navigation) -> Progress:
-        """Which leg of its item the aircraft flies, never one before, and since when it waits at that leg's end."""
+        """Return the progress on the present item by the position; it never goes back, and notes the wait at a leg's
+        end."""
         here = here_at(time_s, navigation)
         if here is None or not self.is_on_path:
             return self
@@ -130,7 +131,7 @@ class Progress(NamedTuple):
         return moved
 
     def _paused(self, row_s: float) -> Progress:
-        """Another mode than the mission's for `row_s` [s]: the clock of the leg stands still and tells nothing."""
+        """Return the progress after `row_s` [s] in another mode: the leg's clock stands still, its time is not used."""
         if not self.is_on_path:
             return self
         return self._replace(
@@ -138,21 +139,21 @@ class Progress(NamedTuple):
         )
 
     def _arrived(self, time_s: float, here: Point) -> Progress:
-        """Since when the aircraft waits at the end of its leg."""
+        """Note since when the aircraft waits at the end of its leg."""
         is_at_end = is_there(self.leg, here)
         if is_at_end and not math.isfinite(self.arrived_s):
             return self._replace(arrived_s=time_s)
         return self if is_at_end else self._replace(arrived_s=NAN)
 
     def _is_over(self, following: Leg, here: Point, time_s: float, navigation: Navigation) -> bool:
-        """True if the leg that is flown is over and the one that follows it in its item has begun."""
+        """Return True if the leg that is flown is over, and the next leg of its item has begun."""
         leg = self.leg
         if leg.circle_m > 0.0:
             return time_s - self.behind_s >= self.lessons.expected_s(leg)
         return is_behind(leg, following, here, navigation.position, time_s - self.arrived_s)
 
     def _by_clock(self, time_s: float) -> Leg:
-        """The leg of its item that should be flown now, for where nobody says the place."""
+        """Return the leg of the item that should be flown now by the clock, if the position is not known."""
         legs, left_s = self.path.legs[self.item], time_s - self.leg_since_s
         for leg in legs[:-1]:
             left_s -= self.lessons.expected_s(leg)
@@ -191,7 +192,7 @@ class Progress(NamedTuple):
 
 
 def _leg_of(way: Path, current: int | None, at: int) -> int | None:
-    """The leg on which the autopilot flies to item `current`: the next such one, else any."""
+    """Return the leg on which the autopilot flies to item `current`: the next such leg, else the first."""
     if current is None:
         return None
     if 0 <= at < len(way.legs) and way.legs[at].seq == current:
@@ -201,7 +202,7 @@ def _leg_of(way: Path, current: int | None, at: int) -> int | None:
 
 
 def _begins_as_planned(leg: Leg, here: Point | None) -> bool:
-    """True unless the place says that the leg is flown from elsewhere: its time would be held against another way."""
+    """Return False if the leg begins elsewhere than planned, so that its time says nothing about planned legs."""
     if here is None:
         return True
     from_here_s = leg._replace(begin=here, run_m=math.dist(here[:2], leg.end[:2])).moving_s
@@ -242,7 +243,7 @@ def _since_s(before: Position | None, now: Position | None) -> float:
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """True if the aircraft keeps its velocity, or nobody says it: in a corner the power is that of the turn."""
+    """Return True if the velocity is kept or not known; in a corner the power is that of the turn."""
     if before is None or now is None:
         return now is None
     change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))

@@ -49,7 +49,7 @@ def wander_home(steps: int) -> Array:
 
 
 def _kept(process: int, steps: int, backwards: bool = False) -> Array:
-    """The first normals of a process (0 the model's error, 1 the rows' noise), or its last from the end."""
+    """Return the first normals of a process (0 the model's error, 1 the rows' noise); backwards: its last ones."""
     drawn = _drawn(process, held(steps), backwards)
     return drawn[:steps] if steps <= LONGEST else np.resize(drawn, (steps, DRAWS))
 
@@ -74,7 +74,7 @@ def shuffled(count: int) -> Array:
 
 @cache
 def within_step() -> Array:
-    """Return places -0.5..0.5 [DRAWS] that spread draws over a step: no simulation tells when in it a load comes."""
+    """Return places -0.5..0.5 [DRAWS] that spread draws over a step, which does not tell when a load begins in it."""
     return shuffled(DRAWS) - 0.5
 
 
@@ -94,7 +94,7 @@ def samples(belief: Belief) -> Array:
 
 
 def _shared_out(weights: Array) -> Array:
-    """Index of the member of each draw [DRAWS]: always the same ranks, so that few draws change when weights do."""
+    """Return the member of each draw [DRAWS], by fixed ranks, so that few draws change when the weights change."""
     found = np.searchsorted(np.cumsum(weights / weights.sum()), shuffled(weights.size) - 1e-12)
     return np.asarray(np.minimum(found, weights.size - 1))
 

@@ -43,7 +43,7 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
 
 
 def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
-    """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
+    """Return a process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
     normals, memory = _normals(held(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
@@ -51,14 +51,14 @@ def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
 
 @cache
 def _normals(steps: int, scenarios: int, process: int) -> Array:
-    """Normals with mean 0 and variance 1 over the scenarios of every step, exactly: few of them must stand for all."""
+    """Return normals with mean 0 and variance 1, exactly, over the scenarios of every step, as they are few."""
     raw = np.random.default_rng([scenarios, process]).standard_normal((steps, scenarios))
     centred = raw - raw.mean(axis=1, keepdims=True)
     return np.asarray(centred / centred.std(axis=1, keepdims=True))
 
 
 def _remembering(memory: Array, fresh: Array) -> Array:
-    """x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; with equal steps a block of them in one product."""
+    """Return x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; equal steps are worked out in blocks."""
     out = fresh.copy()
     if np.any(memory != memory[0]):
         for k in range(1, out.shape[0]):

@@ -42,7 +42,7 @@ TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a f
 
 @dataclass(frozen=True, slots=True)
 class FromTakeOff:
-    """Past flights are flown again from their take-off, each as it was, at levels around it."""
+    """FromTakeOff flies past flights again from their take-off, each as it was, at levels around it."""
 
     library: LearnedLoad
 
@@ -125,12 +125,12 @@ class AtTakeOff(NamedTuple):
 
 
 def _is_forecast(ends_s: tuple[float, ...]) -> bool:
-    """True if these can be the sorted ends of draws [s]."""
+    """Return True if these can be the sorted ends of draws [s]."""
     return 0 < len(ends_s) <= MOST_ENDS and ends_s[0] >= 0.0 and all(a <= b for a, b in pairwise(ends_s))
 
 
 def _joined(fresh_s: Array, expected_s: Array, share: float) -> Array:
-    """Both joined rank by rank. What would have shown itself by now is not expected any more.
+    """Return both joined rank by rank; an expected end that should have shown itself by now is left out.
 
     The lower ranks, by which alarms go, are never later than those of the flight itself; nor is the middle where the
     flight looks short: a weak pack must not be talked well.

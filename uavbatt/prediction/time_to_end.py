@@ -124,8 +124,7 @@ def counted(ends: EndTimes, enough: float = COUNTED) -> EndTimes:
 
 
 class _Recent(NamedTuple):
-    """The last steps of the packs, [steps, batch] each: mean voltage of a cell with its share of the
-    harness and of the model's error, charge, what a row's voltage adds to it."""
+    """_Recent holds the last steps of the packs, [steps, batch]: mean cell voltage, charge, noise of a row's voltage."""
 
     cell_V: Array
     soc: Array
@@ -133,7 +132,7 @@ class _Recent(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The limits by which steps are judged; `at_s` are the times of all steps."""
+    """_Limits holds the limits by which steps are judged; `at_s` are the times of all steps."""
 
     pack: Pack
     reserve_soc: float
@@ -150,7 +149,7 @@ def _times(dt_s: Array, dimensions: int) -> Array:
 
 
 def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTimes:
-    """The ends that are known after step `k`; the last steps are kept for those that follow."""
+    """Return the ends that are known after step `k`; the last steps are kept for the next ones."""
     pack, installation = limits.pack, limits.pack.installation
     new = k % JUDGED_AT_ONCE + 1
     known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
@@ -170,7 +169,7 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
 
 
 def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Array:
-    """The times `known_s` [batch], with those of the columns whose `margin` [steps, batch] has come below zero now."""
+    """Return the times `known_s` [batch], with those of columns whose `margin` [steps, batch] is below zero now."""
     is_new = ((margin < 0.0) & (known_s == np.inf)).any(axis=0)
     if not is_new.any():
         return known_s
@@ -181,7 +180,7 @@ def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Ar
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall of each column [steps, columns] through zero, linear between the steps at `at_s`; plus the lag.
+    """Return the first fall of each column [steps, columns] through zero, linear between steps at `at_s`, plus the lag.
 
     There is a step below zero in each.
     """
@@ -195,7 +194,7 @@ def _mean_crossing(margin: Array, at_s: Array) -> Array:
 
 
 def _median_crossing(margin: Array, at_s: Array) -> Array:
-    """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
+    """Return the time of the first row whose centred median of three is below zero; no row precedes the present."""
     below, column = margin < 0.0, np.arange(margin.shape[1])
     if margin.shape[0] < 3:
         return np.where(below.all(axis=0), 0.0, np.inf)

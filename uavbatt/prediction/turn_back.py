@@ -124,7 +124,7 @@ def _fly_home(
 
 
 def _is_asked(least_V: Array) -> Column:
-    """True for each turn [turns] whose way home still counts: charge is asked of the first, a crossing of the others.
+    """Return True for each turn [turns] that is simulated on: the first for its charge, others while a draw comes home.
 
     No draw comes home from the others, nor from the turn before: no crossing lies there (`last_crossing`).
     """
@@ -141,7 +141,7 @@ def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float)
 
 
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
-    """The way home from where each instant finds the aircraft."""
+    """Return the ways home from where the aircraft is at each instant."""
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
     turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
@@ -159,7 +159,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
 
 
 def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
-    """The pieces, and the turn of each, in steps short enough for their sag."""
+    """Return the pieces and the turn of each, cut into steps short enough to show the sag of the voltage."""
     least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, np.where(pieces.gained_ms > 0.0, TURN_STEPS, 1))
     count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
     pieces = pieces._replace(length_s=pieces.length_s / count)

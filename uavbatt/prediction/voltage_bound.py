@@ -106,7 +106,7 @@ class Fall(NamedTuple):
         return left_s
 
     def _of_one_kind(self) -> tuple[FallBin, ...]:
-        """The bins with a current; while it is unknown all of them, none with a current or the lag that it left.
+        """Return the bins with a current, if the last one has it; else all bins, without current and lag.
 
         A current of nothing in every bin leaves the fit no sag.
         """
@@ -116,7 +116,7 @@ class Fall(NamedTuple):
 
 
 def _is_level(bins: tuple[FallBin, ...], cutoff_V: float) -> bool:
-    """True if the voltage fell too little over the window to reach the cut-off in sight."""
+    """Return True if the voltage fell too little over the window to reach the cut-off in sight."""
     part = len(bins) // 4
     first_V = sum(row.voltage_V for row in bins[:part]) / part
     last_V = sum(row.voltage_V for row in bins[-part:]) / part

@@ -190,7 +190,7 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def _inline(text: str, alt: str) -> Html:
-    """matplotlib's SVG file -> markup for the middle of a page."""
+    """Return matplotlib's SVG file as markup for the middle of a page."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<!DOCTYPE[^>]*>", "", text, flags=re.DOTALL)
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)

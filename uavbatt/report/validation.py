@@ -107,7 +107,7 @@ def verdict_sentence(v: ValidationPage) -> str:
 
 
 def _limits(v: ValidationPage) -> tuple[tuple[str, str], ...]:
-    """The declared limits in words; the first two decide."""
+    """Return the declared limits in words; the first two decide."""
     limits = v.found.limits
     return (
         ("voltage", f"±{limits.voltage_V:.3g} V"),

@@ -75,7 +75,7 @@ class Cleaner(NamedTuple):
         )
 
     def _with_voltage(self, sample: Sample) -> tuple[Cleaner, Sample]:
-        """Take the voltage in. A leap is used from its second row on: one row may be a damaged frame."""
+        """Take the voltage in. A sudden change is used from its second row on, as one row may be a damaged frame."""
         if not math.isfinite(sample.voltage_V):
             return self, sample
         if sample.voltage_V <= 0.0:  # a meter that is not connected

@@ -121,7 +121,7 @@ def monitor_parameter(instance: int) -> str:
 
 
 def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:
-    """Facts of `instance` from all parameters known so far."""
+    """Return the facts of `instance` from all parameters known so far."""
     prefix = ardupilot_prefix(instance)
     cells = _px4(known, instance, "N_CELLS")
     empty_V = _px4(known, instance, "V_EMPTY")
@@ -175,5 +175,5 @@ def _px4(known: Mapping[str, float], instance: int, what: str) -> float:
 
 
 def _first(known: Mapping[str, float], *names: str) -> float:
-    """The first of the named parameters that is set (> 0), else NaN."""
+    """Return the first of the named parameters that is set (> 0), else NaN."""
     return next((known[name] for name in names if known.get(name, 0.0) > 0), NAN)

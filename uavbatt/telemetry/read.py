@@ -101,7 +101,7 @@ def content_of(path: Path) -> tuple[str, Content]:
 
 
 def _binary(file: BufferedReader) -> Content:
-    """All of a binary file, in numpy's memory: it asks for large pages, small ones cost more than the reading."""
+    """Return a whole binary file in numpy's memory, whose large pages are faster than Python's own."""
     import numpy as np
 
     found = np.empty(os.fstat(file.fileno()).st_size, np.uint8).data
@@ -111,7 +111,7 @@ def _binary(file: BufferedReader) -> Content:
 
 
 def _kind(source: str, data: Content) -> str:
-    """The kind of log, from its content; the suffix only where the head is damaged."""
+    """Return the kind of log by its content; by its suffix only if the head is damaged."""
     head = bytes(data[:_HEAD_BYTES])
     if head.startswith(_ULOG):
         return "ulog"
@@ -141,20 +141,20 @@ def _kind(source: str, data: Content) -> str:
 
 
 def _is_text(head: bytes) -> bool:
-    """No NUL, and hardly any byte that text does not have."""
+    """Return True if there is no NUL and hardly any byte that text does not have."""
     odd = len(head) - len(head.translate(None, _ODD_IN_TEXT))
     return b"\0" not in head and odd <= len(head) // 1000 and b"%PDF" not in head[:8]
 
 
 def _is_table(head: bytes) -> bool:
-    """True if the first line could be the header of a telemetry table, well or badly spelt."""
+    """Return True if the first line could be the header of a telemetry table, well or badly spelt."""
     first = head.lstrip().split(b"\n")[0].decode("utf-8", errors="replace")
     names = {name.lower() for name in _WORD.findall(first)}
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
 def _read(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
-    """The kind of a log, and its rows; BadInput if it is none or has none."""
+    """Return the kind of a log and its rows. Raises BadInput if it is no log or has no rows."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
@@ -203,7 +203,7 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
 
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:
-    """The asked instance, which must be there, or the default one."""
+    """Return the wanted instance, or the default one. Raises UsageError if the log does not have it."""
     if not isinstance(instance, SupportsIndex | None):
         raise UsageError(f"instance={instance!r}: expected the number of a battery, or None")
     chosen = default_instance(log) if instance is None else instance

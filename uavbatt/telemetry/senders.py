@@ -122,7 +122,7 @@ def _together(one: list[SenderRow], other: list[SenderRow]) -> tuple[list[Sender
 
 
 def _places(*senders: object) -> str:
-    """Addresses in words, in a fixed order; streams have none."""
+    """Return addresses in words, in a fixed order; streams have none."""
     addresses = [s.sender if isinstance(s, Stream) else s for s in senders]
     named = [f"{s[0]}:{s[1]}" if isinstance(s, tuple) else s for s in addresses]
     places = sorted({place for place in named if isinstance(place, str) and ":" in place})

@@ -81,7 +81,7 @@ def _ulog2csv(header: Sequence[str]) -> dict[str, tuple[str, float]]:
 
 
 def _scaled(column: str, cell: str, factor: float) -> str:
-    """A cell of PX4's column in our unit, empty where it stands for unknown; what is no number stays, to be refused."""
+    """Return a cell of PX4's column in our unit, empty if unknown; what is no number stays, and is refused later."""
     try:
         value = float(cell)
     except ValueError:
@@ -92,7 +92,7 @@ def _scaled(column: str, cell: str, factor: float) -> str:
 
 
 def _seconds(cell: str) -> str:
-    """A time in ISO 8601 as seconds; any other cell as it is."""
+    """Return a time in ISO 8601 as seconds; any other cell unchanged."""
     if not _ISO.match(cell):
         return cell
     try:
@@ -110,7 +110,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _columns(source: str, header: Sequence[str], log: LogBuilder) -> list[str]:
-    """The header, checked: known columns once each, none missing, none misspelt."""
+    """Return the names of the columns. Raises BadInput for one that is missing, misspelt or there twice."""
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if any(mark in column for column in header):
             raise BadInput(source, "header", f"columns separated by commas, found {name}")
@@ -139,7 +139,7 @@ def _close(name: str, candidates: Sequence[str]) -> str | None:
 
 
 def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> Sample:
-    """One row, checked, with its time [s] as written; `before_s` is the row's before it."""
+    """Return one checked row, with its time [s] as written; `before_s` is the time of the row before."""
 
     def number(column: str, needed: bool = False) -> float:
         return _number(cells.get(column, ""), needed, lambda e: BadInput(source, f"{place}, column {column}", e))
@@ -168,7 +168,7 @@ def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> 
 
 
 def _number(cell: str, needed: bool, error: Callable[[str], BadInput]) -> float:
-    """A cell as a number; NaN for an empty one, which a needed column may not have."""
+    """Return a cell as a number; NaN for an empty cell, which is an error in a needed column."""
     try:
         value = float(cell) if cell and "_" not in cell else NAN
     except ValueError:

@@ -108,7 +108,7 @@ def _whole(source: str, lines: Iterator[list[str]]) -> Iterator[list[str]]:
 
 
 def _header(lines: Iterator[list[str]]) -> list[str]:
-    """The names of the columns; what comes next of `lines` is the first row."""
+    """Return the names of the columns; the next of `lines` is then the first row."""
     for cells in lines:
         names = [cell.strip() for cell in cells]
         if any(names) and not names[0].startswith("sep="):

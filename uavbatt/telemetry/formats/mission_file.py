@@ -92,7 +92,7 @@ def _content(path: Path) -> bytes:
 
 
 def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
-    """`.waypoints`; a first item that is no waypoint is no home."""
+    """Return the flight of a `.waypoints` file; it has no home if its first item is no waypoint."""
     lines = data.decode("utf-8", errors="replace").splitlines()
     if not lines or not lines[0].startswith(_WPL):
         raise BadInput(path, "", f"{KIND}, found a file of another kind")
@@ -111,7 +111,7 @@ def _sea_m(fields: Fields) -> float:
 
 
 def _line(path: str | Path, number: int, line: str) -> Fields:
-    """One item: index, current, frame, command, four parameters, latitude, longitude, height, autocontinue."""
+    """Return one item: index, current, frame, command, four parameters, latitude, longitude, height, autocontinue."""
     columns = line.split()
     try:
         values = [float(column) for column in columns]
@@ -149,7 +149,7 @@ def _return_reason(rally: _RallyPoints | None) -> str:
 
 
 def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:
-    """The simple items of a plan in order, patterns as the items that they were made into."""
+    """Yield the simple items of a plan in order; a pattern is replaced by the items made of it."""
     for item in items:
         if item.type == "SimpleItem":
             yield item
@@ -161,7 +161,7 @@ def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:
 
 
 def _fields(path: str | Path, seq: int, item: _Item, seq_of: dict[int, int]) -> Fields:
-    """The fields of one item; a jump names its target by `doJumpId`."""
+    """Return the fields of one item; a jump names its target by `doJumpId`."""
     params = [NAN if v is None else float(v) for v in item.params]
     if len(params) != 7 or item.command < 0:
         raise BadInput(path, f"item {seq}", "a command with seven params")

@@ -38,7 +38,7 @@ _MAKES = {3: "ArduPilot", fields.AUTOPILOT_PX4: "PX4"}
 
 
 class _Beats(NamedTuple):
-    """Heartbeats of the chosen vehicle: which of its frames they are, and what they say."""
+    """_Beats holds the heartbeats of the chosen vehicle: their places among its frames, and what they say."""
 
     place: NDArray[np.int64]
     armed: Mask
@@ -101,7 +101,7 @@ def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None
 
 
 def _of_system(name: str, candidates: list[int], system: int) -> list[int]:
-    """The candidates of a system; UsageError, with those that there are, when it has none."""
+    """Return the candidates of a system. Raises UsageError, with the systems that there are, if it has none."""
     own = [source for source in candidates if source >> 8 == system]
     if not own:
         there = ", ".join(str(number) for number in sorted({source >> 8 for source in candidates})) or "none"

@@ -100,7 +100,7 @@ class FrameTable:
 
 
 class _Heads(NamedTuple):
-    """Candidates, whatever stands there, and what the heads of frames would say."""
+    """_Heads holds candidates for frames, and what their heads say if they are frames."""
 
     start: Places
     payload: Places
@@ -108,7 +108,7 @@ class _Heads(NamedTuple):
     message_id: NDArray[np.int64]
 
     def at(self, chosen: Any) -> _Heads:
-        """Some of the candidates."""
+        """Return some of the candidates."""
         return _Heads(*(column[chosen] for column in self))
 
 
@@ -171,7 +171,7 @@ def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
 
 
 def _candidates(data: Bytes, begin: int, end: int) -> tuple[Places, Places]:
-    """Every place from `begin` to `end` where a frame could begin that ends inside the file, and where it ends."""
+    """Return every place from `begin` to `end` where a frame could begin that fits into the file, and where it ends."""
     size = len(data)
 
     def is_marked(at: int, to: int) -> Mask:
@@ -194,7 +194,7 @@ def _candidates(data: Bytes, begin: int, end: int) -> tuple[Places, Places]:
 
 
 def _heads(data: Bytes, start: Places) -> _Heads:
-    """The heads of the candidates at these places."""
+    """Return the heads of the candidates at these places."""
     is_v1, length = data[_STAMP:][start] == _V1, data[_STAMP + 1 :][start].astype(np.int64)
     low, middle, high = (data[_HEAD - 3 + k :][start].astype(np.int64) for k in range(3))
     message_id = np.where(is_v1, data[_HEAD_V1 - 1 :][start], low | middle << 8 | high << 16)
@@ -202,7 +202,7 @@ def _heads(data: Bytes, start: Places) -> _Heads:
 
 
 def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
-    """Which of the candidates are of wanted messages, their heads, and whether their checksums are right."""
+    """Return which candidates are wanted messages, their heads, and if their checksums are right."""
     # few pass this: the low byte of the number says no to most; in version 1 it stands elsewhere
     chosen = np.flatnonzero(_MAY_BE_WANTED[data[_HEAD - 3 :][start]] | (data[_STAMP:][start] == _V1))
     heads = _heads(data, start[chosen])
@@ -221,7 +221,7 @@ def _is_sound(data: Bytes, heads: _Heads, seed: NDArray[np.int64]) -> Mask:
 
 
 def _vouch(data: Bytes, stop: Places, wanted: Mask, sound: Mask) -> Vouch:
-    """Inside the chain a wanted frame needs its checksum, any other one a mark where the next frame has it."""
+    """Return the check within a chain: a wanted frame needs its checksum, any other one a mark behind it."""
 
     def vouch(chosen: Places) -> Mask:
         mark = stop[chosen] + _STAMP
@@ -233,11 +233,11 @@ def _vouch(data: Bytes, stop: Places, wanted: Mask, sound: Mask) -> Vouch:
 
 
 def _judge(data: Bytes, start: Places, stop: Places, wanted: Mask, sound: Mask) -> Judge:
-    """Is one candidate a frame? Its checksum says so; a type that nobody knows counts if a frame may follow it."""
+    """Return the check of one candidate: its checksum decides; an unknown type counts if a frame may follow it."""
 
     @cache
     def block(number: int) -> list[bool | None]:
-        """Verdicts of the checksums of a block of candidates, None for unknown types: one by one is far slower."""
+        """Return the verdicts of a block of checksums, None for unknown types: one by one is far slower."""
         heads = _heads(data, start[number * _BLOCK : (number + 1) * _BLOCK])
         seeds = np.array([_seed(message_id) for message_id in heads.message_id.tolist()])
         is_sound = _is_sound(data, heads, seeds).tolist()
@@ -281,7 +281,7 @@ def _frames(data: Bytes, kept: list[_Heads], first_us: int, last_us: int, skippe
 
 
 def _seed(message_id: int) -> int:
-    """The checksum's seed of any message, _NO_SEED if the dialect does not know it."""
+    """Return the checksum's seed of a message; _NO_SEED if the dialect does not know it."""
     if message_id in SEEDS:
         return SEEDS[message_id]
     return _dialect().get(message_id, _NO_SEED)
@@ -289,7 +289,7 @@ def _seed(message_id: int) -> int:
 
 @cache
 def _dialect() -> dict[int, int]:
-    """Seeds of all messages. Loaded only where a chain is broken: it is bigger than all the rest."""
+    """Return the seeds of all messages. They are big, and are loaded only if a chain is broken."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     return {number: int(kind.crc_extra) for number, kind in ardupilotmega.mavlink_map.items()}

@@ -28,7 +28,7 @@ class Layout(NamedTuple):
 
 
 def _layout(**fields: tuple[str, int]) -> Layout:
-    """A layout from the type and the offset of each field."""
+    """Return a layout made from the type and the offset of each field."""
     names = list(fields)
     record = np.dtype(
         {"names": names, "formats": [f for f, _ in fields.values()], "offsets": [o for _, o in fields.values()]}
@@ -37,7 +37,7 @@ def _layout(**fields: tuple[str, int]) -> Layout:
 
 
 def _item(place: str) -> Layout:
-    """MISSION_ITEM and MISSION_ITEM_INT: they differ in how the place is written."""
+    """Return the layout of MISSION_ITEM or MISSION_ITEM_INT, which write the place differently."""
     return _layout(
         param1=("<f4", 0), param2=("<f4", 4), param3=("<f4", 8), param4=("<f4", 12), x=(place, 16), y=(place, 20),
         z=("<f4", 24), seq=("<u2", 28), command=("<u2", 30), target_system=("u1", 32), target_component=("u1", 33),
@@ -121,7 +121,7 @@ def navigation(
 
 
 def _of_autopilot(own: FrameTable, clock: TlogClock, listener: NavigationListener) -> list[tuple[int, Event]]:
-    """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
+    """Return the autopilot's messages with their places in the file; of heartbeats only those that bring a change."""
     told = []
     for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
         frames = own.of(message_id)
@@ -146,7 +146,7 @@ def _of_others(
 
 
 def _said(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
-    """Place in the file, time [s] and message of each frame."""
+    """Yield place in the file, time [s] and message of each frame."""
     return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
 
 
@@ -162,7 +162,7 @@ def _records(frames: FrameTable, layout: Layout) -> Any:
 
 
 def _changes(beats: FrameTable) -> Mask:
-    """Which heartbeats say another mode than the one before."""
+    """Mark the heartbeats with another mode than the one before."""
     if not len(beats.start):
         return np.zeros(0, np.bool_)
     said = _records(beats, LAYOUTS[messages.HEARTBEAT])

@@ -198,7 +198,7 @@ class NavigationListener:
 
 
 def _fields(message_id: int, message: Any) -> Fields:
-    """The fields of MISSION_ITEM (degrees) or MISSION_ITEM_INT (1e-7 degrees)."""
+    """Return the fields of MISSION_ITEM (degrees) or MISSION_ITEM_INT (1e-7 degrees)."""
     lat_deg, lon_deg = float(message.x), float(message.y)
     if message_id == MISSION_ITEM_INT:
         lat_deg, lon_deg = (NAN if v == _UNKNOWN_INT else v / _E7 for v in (message.x, message.y))

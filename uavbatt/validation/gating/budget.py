@@ -42,7 +42,7 @@ HAND_READ_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A row is one source of uncertainty: its standard uncertainty `u` per instant in the budget's unit, its GUM type.
+    """A BudgetRow is one source of uncertainty: standard uncertainty `u` per instant in the budget's unit, GUM type.
 
     `how` says in words how it was obtained.
     """
@@ -55,7 +55,7 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The rows of one claim add up to the uncertainty of its bias at `at` (instants [s], voltages [V]); all in `unit`.
+    """Budget adds rows up to the uncertainty of a claim's bias at `at` (instants [s], voltages [V]); all in `unit`.
 
     `combined` is the standard uncertainty with `df` degrees of freedom, `factors` its coverage at each instant and
     `coverage` the largest of them, `expanded` the half width that the gate adds to the bias, `guard` 1.645·u_B.

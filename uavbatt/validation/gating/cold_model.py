@@ -41,7 +41,7 @@ OCV_V = dense(prior.OCV_SOC, prior.OCV_V)
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A variant is one of the models to compare, told by the terms that are on."""
+    """A Variant is one of the models to compare, named by its terms that are on."""
 
     name: str
     self_heating: bool

@@ -45,7 +45,7 @@ class Independence:
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """All samples are set against random pairing of their runs; `dependent` is None if p < 0.01 cannot be reached."""
+    """Dependence compares samples with random pairing of their runs; `dependent` is None if p < 0.01 is out of reach."""
 
     p_value: float
     dependent: bool | None
@@ -53,7 +53,7 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True)
 class Bimodality:
-    """The best split in two groups explains `share` of the sum of squares; p-value against one rounded normal.
+    """Bimodality holds the best split in two groups: its `share` of the sum of squares, p against one rounded normal.
 
     `gap` is the largest distance between neighbouring results, `groups` the numbers of results below and above it.
     """
