@@ -106,7 +106,7 @@ class _Unknowns:
         return len(self.slots)
 
     def values(self, v: Array) -> tuple[Array, Array]:
-        """Return the slots' values [variants, slots] and the records' own [variants, records, 3] of v [variants, all]."""
+        """Return the slots' values [variants, slots] and the records' own [variants, records, 3] of v."""
         own = v[:, self.shared :].reshape(-1, *self.own_sd.shape)
         return prior.values(self.slots, v[:, : self.shared]), self.own_mean + self.own_sd * own
 

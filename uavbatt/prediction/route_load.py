@@ -97,7 +97,7 @@ def fast_shares(load: RouteLoad) -> Array:
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:
-    """Return the energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios], the last without end."""
+    """Return the energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios]."""
     begins_s = np.concatenate([[0.0], ends_s])
     before_J = np.concatenate([np.zeros_like(watts[:1]), np.cumsum(watts[:-1] * np.diff(begins_s)[:, None], axis=0)])
     piece = np.searchsorted(ends_s, at_s.T, side="right").T  # times in ascending order are found in half the time

@@ -124,7 +124,7 @@ def counted(ends: EndTimes, enough: float = COUNTED) -> EndTimes:
 
 
 class _Recent(NamedTuple):
-    """_Recent holds the last steps of the packs, [steps, batch]: mean cell voltage, charge, noise of a row's voltage."""
+    """_Recent holds the last steps of the packs, [steps, batch]: mean cell voltage, charge, noise of a row."""
 
     cell_V: Array
     soc: Array

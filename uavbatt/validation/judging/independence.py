@@ -45,7 +45,7 @@ class Independence:
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """Dependence compares samples with random pairing of their runs; `dependent` is None if p < 0.01 is out of reach."""
+    """Dependence compares samples with random pairing of runs; `dependent` is None if p < 0.01 is out of reach."""
 
     p_value: float
     dependent: bool | None

@@ -80,7 +80,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class FisherClaim:
-    """FisherClaim compares the printed F_emp with each column's ratios of SDs and variances; `nearest` is the nearest."""
+    """FisherClaim compares the printed F_emp with each column's ratios of SDs and of variances."""
 
     printed: float
     critical_printed: float
