@@ -120,7 +120,7 @@ class Progress(NamedTuple):
         return self.path.legs[self.at + self.behind]
 
     def _followed(self, time_s: float, navigation: Navigation) -> Progress:
-        """Return the progress on the present item by the position; it never goes back, and notes a wait at a leg's end."""
+        """Return the progress on the present item by the place; it never goes back, and notes waits at a leg's end."""
         here = here_at(time_s, navigation)
         if here is None or not self.is_on_path:
             return self
