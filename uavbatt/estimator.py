@@ -152,7 +152,7 @@ class Estimator:
         if now is None or now is before:
             return
         if now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
-            self.remembered = None  # its flights were read by the curve of ordinary cells
+            self.remembered = None  # its flights were read with the curve of ordinary cells
         if before is not None and now.cell_kind != before.cell_kind:
             self._followed = None
         elif self._followed is not None:

@@ -23,7 +23,7 @@ import numpy as np
 from uavbatt.errors import BadInput, printable
 
 STDOUT = "-"
-_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # of what JSON does not escape by itself
+_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # characters that JSON does not escape by itself
 
 
 @overload

@@ -22,8 +22,8 @@ from uavbatt.battery.scaling import Pack
 
 MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
-NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
-SHARPEST = 0.02  # a narrower mode would fall between two members and be lost
+NEW_SHORT = 0.3  # share of the doubt about a printed capacity that remains for a new pack
+SHARPEST = 0.02  # a narrower mode would be lost between two members
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP, UNKNOWN_MAKE_OVERLAP = 0.35, 0.6  # sd of a member as a share of the distance to the next
 # A capacity stated ten times too large, and what lies between.

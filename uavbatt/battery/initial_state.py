@@ -20,7 +20,7 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters, State
 IDLE_C_RATE = 0.3  # avionics and a companion computer draw up to 0.2 C of a small pack; a hover 2 to 6 C
 # Four of five flights begin with a pack straight from the charger, which stops within a percent of full.
 FULL_SHARE, FULL_SD = 0.8, 0.01
-ANY_SD = 0.4  # of a charge that nothing is known of
+ANY_SD = 0.4  # sd of a charge that is not known at all
 SLOPE_WITHIN, LEAST_SLOPE_V = 0.04, 0.1  # the OCV's slope at a charge is that over so far on both sides [V per charge]
 
 

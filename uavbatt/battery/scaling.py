@@ -27,19 +27,19 @@ class Pack(NamedTuple):
     low_V: Number
     resistance_scale_sd: float
     capacity_scale_sd: float
-    capacity_short_sd: float  # beside it, for less than is stated: who prints a capacity seldom prints too little
+    capacity_short_sd: float  # added for less than is stated: few packs hold more than is printed
     bias_sd_V: float  # discrepancy of the model, per cell
     bias_tau_s: float
     reaction_sd_V: float  # of the drop that its electrodes take beyond those of its type at a large load, per cell
     ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off, per cell
-    ocv_drift_sd_V: Array  # the part of it that is another at another charge
+    ocv_drift_sd_V: Array  # the part of it that changes with the charge
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
     drop_share: float  # relative error of the drop under load, from reading to reading
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
-    evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
-    empty_soc_sd: float  # of the charge that its make leaves in it at the knee, as a share of what was drawn by then
+    evidence_share: float  # share of a reading that counts when capacities are compared
+    empty_soc_sd: float  # of the charge left at the knee, as a share of the charge drawn by then
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
@@ -52,7 +52,7 @@ class Pack(NamedTuple):
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 ROW_SHARE = 0.12
-DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
+DROP_SHARE = 0.09  # errors that all readings share are in the discrepancy
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the tested pack: electrodes that have aged or are of another batch react more slowly. This
 # costs a voltage as soon as the load comes, the same at every charge and temperature: 0.05 V a cell at 0.6 of the
@@ -187,7 +187,7 @@ def pack_of(
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
-        cell=cell_parameters(file, fullest_V if unknown else ORDINARY_FULL_V),  # a file of one make knows its own
+        cell=cell_parameters(file, fullest_V if unknown else ORDINARY_FULL_V),  # the file of one make has its own curve
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,

@@ -37,7 +37,7 @@ from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
-GUESSED_FROM = "first voltage"  # a count of cells that nobody states
+GUESSED_FROM = "first voltage"  # source of a count of cells that nobody states
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 
@@ -75,8 +75,8 @@ class PackSize:
     cutoff_from: str
     low_V: float
     low_from: str
-    uncertified: str = ""  # what of this pack the battery file's certificate does not cover
-    notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
+    uncertified: str = ""  # how this pack goes beyond the battery file's certificate
+    notices: tuple[str, ...] = ()  # odd values, and statements that were not believed
     refusal: str = ""  # why there can be no number for it
     fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
 
@@ -117,7 +117,7 @@ def size_of_pack(
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
     cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
-    if cells_notices:  # a PX4 works its critical voltage out from its count of cells
+    if cells_notices:  # PX4 works out its critical voltage from its count of cells
         said = replace(said, critical_voltage_V=NAN)
     why_not = why_no_capacity(battery, given, said)
     if why_not:

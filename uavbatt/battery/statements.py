@@ -31,10 +31,10 @@ from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
-FIRST_ROWS_S = 120.0  # of a log: what a command reads before it begins
+FIRST_ROWS_S = 120.0  # part of a log that a command reads before it begins
 LOADED_C_RATE = 0.4
-REVERSED_C_RATE = 0.1  # what an offset of the sensor shows on the ground is less
-REVERSED_S, REGENERATING_S = 15.0, 90.0  # of a current that never discharged, and of one that did before
+REVERSED_C_RATE = 0.1  # a sensor's offset on the ground is less
+REVERSED_S, REGENERATING_S = 15.0, 90.0  # longest charging by a current that never discharged, and by one that did
 # A load that is light for the stated capacity, and yet the voltage gives way: the ohms would be those of no battery.
 # OCV_SLOPE_V a cell and unit of charge at most are the discharge itself, while a cell shows more than PLATEAU_V.
 STRAIN_CELL_V, SURE_STRAIN_CELL_V = 0.08, 0.15
@@ -90,7 +90,7 @@ class Current(NamedTuple):
     current_A: float = NAN
     load: Means = NO_LOAD  # NO_LOAD until the first row under load: it has not flown
     drawn_Ah: float = 0.0
-    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
+    plateau_Ah: float = 0.0  # the part drawn while the cells were far from empty
     calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
     strain: Strain = NO_STRAIN
     negative_s: float = 0.0
@@ -151,7 +151,7 @@ class Statements(NamedTuple):
         """
         current, capacity_Ah = self.current, pack.capacity_Ah
         load, is_minute = current.load, current.load.loaded_s >= MINUTE_S
-        may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # in flight motors that brake give some back
+        may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # braking motors charge in flight
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
             cells_doubt(pack.cells, self.seen, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,

@@ -44,7 +44,7 @@ def run(config: Config) -> None:
     link, stations = _links(config)
     daemon = Daemon(config, content, options, settings, link, stations)
     told: set[int] = set()
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # until here each ends the process, whatever it reads
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # before this line each signal ends the process
         signal.signal(number, lambda signum, frame: told.add(signum))
     if config.http.listen:
         from uavbatt.live.web import serve

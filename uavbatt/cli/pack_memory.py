@@ -74,7 +74,7 @@ class PackMemory:
             return LearnedFlight((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:
             after = self.ledger.save(name, found.record)
-        except AnotherSize as error:  # of another pack: the forecast was made without what is remembered
+        except AnotherSize as error:  # another pack: its forecast did not use the ledger
             return LearnedFlight(
                 (f"  pack       {name}: not remembered: {error}",), {"pack": name, "pack_findings": [ANOTHER]}
             )

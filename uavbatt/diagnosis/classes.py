@@ -47,7 +47,7 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
-        if fit.candidate.name in members:  # a second name may have taken its seat
+        if fit.candidate.name in members:  # a second name may have taken its place
             parameters.update(intervals(fit))
     outside = [name for name in finding.outside if name not in members]
     return EffectClass(

@@ -36,7 +36,7 @@ from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
-USUAL = 1.05  # what it leaves of the voltage of effect-free flights, at most
+USUAL = 1.05  # largest value that effect-free flights leave for the voltage
 FAR = 2.0  # times the error that the model is expected to have: no wander; 1.8 at most in healthy sets
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
@@ -46,7 +46,7 @@ class Diagnosis:
     """A diagnosis tells what was found, with the model before and after."""
 
     verdict: Verdict
-    classes: tuple[EffectClass, ...]  # what was found; where nothing was, what small effect may hide, if one does
+    classes: tuple[EffectClass, ...]  # what was found; if nothing, the small effect that may hide
     reasons: tuple[str, ...]
     problem: Problem
     before: Refit
@@ -108,7 +108,7 @@ def diagnose(
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states, wear_sd)
     searched = _searched(problem, file, without, tell)
-    if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
+    if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
         full = replace(problem, evidence=problem.evidence.believed_full)
         searched = min(searched, _searched(full, file, without, tell), key=lambda s: s.best.total)
     problem, nothing, best, findings, singles = searched
@@ -119,7 +119,7 @@ def diagnose(
     found = tuple(class_of(problem, f, believed(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
-    if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
+    if not steady:  # a value that differs between records is a suspect, not for a battery file
         best = nothing
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     after = residual.residuals(problem.evidence, at_best(problem, best))

@@ -33,11 +33,11 @@ from uavbatt.fitting.observed import Observed, Stack
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
-LEAST_CHANGE = 0.04  # of the current, relative, over the records
+LEAST_CHANGE = 0.04  # least relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
-COLD_DOUBLES_K = 6.0  # below the coldest flight that it was learned on, the model's error: healthy flights from 4 °C on
+COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 

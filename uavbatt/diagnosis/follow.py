@@ -33,7 +33,7 @@ CAN_BEGIN = (
     "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset", "temperature_lag",
     "current_delay", "airflow_cooling",
 )  # fmt: skip
-EARNED = 12.0  # the best of many courses: scripts/diagnose_cases_healthy.py
+EARNED = 12.0  # least worth of the best of many courses (scripts/diagnose_cases_healthy.py)
 EARNED_ONCE = 36.0  # for an effect in one flight only, which may be a peculiarity of that flight
 GROWS = 6.0  # chi-square by which a growing effect must fit better than one that begins at once
 AS_GOOD = 6.0  # chi-square difference within which another first flight is as good
@@ -48,9 +48,9 @@ class FollowedEffect:
 
     found: EffectClass
     course: Course
-    earliest: int  # the first and the last flight at which it may have begun as well
+    earliest: int  # the first and the last flight at which it may also have begun
     latest: int
-    values: tuple[Interval, ...]  # of each flight by itself, of the likeliest member's first quantity
+    values: tuple[Interval, ...]  # first quantity of the likeliest member, from each flight alone
     quantity: str
     off: float  # its value in the battery file
     worth: float

@@ -92,7 +92,7 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         innovations, off_sds, reaction_V = self.innovations, self.off_sds, self.reaction_V
-        if math.isfinite(estimate.nis):  # a block has been closed: these change only then
+        if math.isfinite(estimate.nis):  # these change only when a block is closed
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
             reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
         stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)

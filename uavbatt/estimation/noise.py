@@ -99,7 +99,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
         read = initial_state.charge_at(cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
     mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
-    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage has some information, however steep the drop
+    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however large the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return First(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 

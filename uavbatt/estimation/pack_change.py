@@ -28,9 +28,9 @@ FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 # A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
-NO_PACK_CELL_V = 2.0  # the autopilot has another supply
+NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
-FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # below it the ground may draw; the first rows after a silence show whose pack it is
+FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
@@ -73,10 +73,10 @@ class SwapWatch(NamedTuple):
     belief: Belief | None = None
     row_s: float = NAN  # the usual time between two rows
     consumed_Ah: float = NAN
-    silence: Silence | None = None  # until the pack is loaded
+    silence: Silence | None = None  # kept until the pack is loaded
     rows: int = 0
-    other_since_s: float = NAN  # the first of these rows
-    rested_V: float = NAN  # of a cell, over the last rested rows of the pack that is believed in
+    other_since_s: float = NAN  # time of the first of these rows
+    rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
     rested_since_s: float = NAN
 
     @property

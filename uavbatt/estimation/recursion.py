@@ -40,13 +40,13 @@ ROOM_TEMP_C = 22.0
 class FilterState(NamedTuple):
     """FilterState holds the state of the filter between two rows."""
 
-    moments: Moments  # after the last block
+    moments: Moments  # as after the last block
     time_s: float  # of the last row
     current_A: float  # of the last row
     block_A: float  # mean of the last block
-    block: Block  # the open one
+    block: Block  # the open block
     air: noise.Air
-    since_load_s: float = math.nan  # before the first load there is nothing to settle
+    since_load_s: float = math.nan  # NaN before the first load
 
 
 class Innovation(NamedTuple):

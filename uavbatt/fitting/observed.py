@@ -200,7 +200,7 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
     time_s = padded("time_s")
     resting = np.abs(padded("current_A")) < IDLE_C_RATE * np.array([r.capacity_Ah for r in records])
     weight = np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0))
-    weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage tells the OCV where it starts
+    weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage shows the OCV at the start
     real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
     cells = np.array([float(r.cells) for r in records])
     slope = np.where(resting, 0.0, padded("slope"))

@@ -23,9 +23,9 @@ BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
-SHAPE_SD = 0.01  # of the shape itself within a cell of 1 m/s airspeed and climb
+SHAPE_SD = 0.01  # error of the law itself within a cell of 1 m/s airspeed and climb
 KNOWN_MS, FASTEST_SHARE = 10.0, 0.999
-STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
+STEADY_SHARE = 0.3  # of the flight's median power; less is no flight
 AS_METERED = Installation(1, 1.0)
 
 

@@ -65,7 +65,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.na
     shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
     level = Slot("r0_ohmAh", RESISTANCE_OHMAH, 0.8, log=True)
     quantities = [
-        Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # what a battery file may hold
+        Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # within the bounds of a battery file
         for name in effects
         for q in EFFECTS[name].quantities
         if q.prior_sd > 0.0 and q.fitted

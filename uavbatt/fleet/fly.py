@@ -33,7 +33,7 @@ MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05
 OPTIMISTIC_S = 60.0
 RESISTANCE_GROWN = 1.4
-MANY_FLIGHTS = 20  # of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
+MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
         return bad_row(log, job, _reason(error, log), LOST)
     except UavbattError as error:
         reason = _reason(error, log)
-    except Exception as error:  # a row with its reason, whatever it is: one log must not end the others
+    except Exception as error:  # the reason goes into the row: one log must not end the run
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
     return bad_row(log, job, reason)
 

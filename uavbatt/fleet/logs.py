@@ -18,7 +18,7 @@ from typing import Any
 from uavbatt.errors import BadInput, UsageError
 
 SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv", ".zip")
-JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # what a fleet's own folder holds: no logs
+JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # files of a fleet's output folder, which are no logs
 LESSONS = "lessons.jsonl"
 _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
 

@@ -154,7 +154,7 @@ def _work(line: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    gc.set_threshold(50_000)  # as the command does: rows are values without circles
+    gc.set_threshold(50_000)  # as in the command: rows have no reference cycles
     import uavbatt.fleet.lesson  # noqa: F401  # all that errands need, loaded before the first
 
     try:

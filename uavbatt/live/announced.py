@@ -25,7 +25,7 @@ from uavbatt.prediction.forecaster import JUST_TAKEN_OFF, NOT_FLYING
 from uavbatt.records import Status
 
 ALARM_PAUSE_S = 10.0
-SAME_LOSS_PAUSE_S = 60.0  # for the same reason: slow or broken telemetry loses a number ten times a minute
+SAME_LOSS_PAUSE_S = 60.0  # between losses for the same reason, which slow telemetry may bring often
 REARM = 1.2
 CRITICAL_BELOW_S = 90.0
 LOST_AFTER_S = 1.0  # one bad row is not a loss

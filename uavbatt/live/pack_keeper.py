@@ -31,7 +31,7 @@ from uavbatt.packs.remembering import flight_for_ledger, health_before
 from uavbatt.records import Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
-LANDED_S = 20.0  # of rest after the landing, for the rested voltage
+LANDED_S = 20.0  # rest after the landing that is kept, for the rested voltage
 FLIGHT_SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
 MOST_LANDING = 8  # flights that wait to be written

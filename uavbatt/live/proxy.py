@@ -105,7 +105,7 @@ class Control:
             made.setblocking(False)
             self.close_client()
             self._client, self._messages = Pipe(made.fileno(), made), Messages()
-        except OSError:  # no client waits, or it has gone again
+        except OSError:  # no client waits, or it has left again
             pass
         if self._client is None:
             return []

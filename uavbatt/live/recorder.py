@@ -145,7 +145,7 @@ class Recorder:
         elif self._free_MB() < self._settings.min_free_MB:
             self._failed(f"less than {self._settings.min_free_MB:g} MB free", now_s)
         else:
-            self._is_stop_told = False  # it records again: LOOK_S of frames are written
+            self._is_stop_told = False  # it records again
 
     def _free_MB(self) -> float:
         disk = os.statvfs(self._folder)

@@ -44,7 +44,7 @@ ABOUT = {
     "version": __version__,
     "api": "",
 }
-_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's own; its data are no script
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's script; its data are no script
 
 
 ReadBoard = Callable[[], Board]

@@ -22,8 +22,8 @@ from uavbatt.mavlink.framing import is_sent_once
 
 LARGEST_READ = 65_536
 MOST_PENDING = 131_072  # bytes that a slow stream may lag behind before it is dropped
-BEHIND_S = 0.25  # a burst of telemetry may take as long to send
-STALLED_S = 10.0  # behind without a break for so long: nobody reads
+BEHIND_S = 0.25  # a burst of telemetry may take so long to send
+STALLED_S = 10.0  # a stream that is behind for so long has no reader
 NOT_SENT = 0x894B  # SIOCOUTQNSD of Linux: what a TCP connection has not sent yet
 
 
@@ -78,7 +78,7 @@ class Pipe:
 
     def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
         self.fd, self._owner, self._pending = fd, owner, b""
-        self._free_s: float | None = None  # when nothing waited, last
+        self._free_s: float | None = None  # the last time at which nothing waited
 
     def read(self) -> bytes | None:
         """Return the bytes that have come in; empty when nothing; None when the other side is gone."""

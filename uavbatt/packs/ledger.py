@@ -20,7 +20,7 @@ from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
 
-PATIENCE_S = 10.0  # for another writer
+PATIENCE_S = 10.0  # longest wait for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"

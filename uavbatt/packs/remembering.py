@@ -30,7 +30,7 @@ from uavbatt.telemetry.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
-LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a short hop shows nothing of the pack
+LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a shorter flight shows nothing of the pack
 LONGEST_STEP_S = 60.0
 LOOKS = 5  # times that the belief under load is read; more of them show no more
 

@@ -36,9 +36,9 @@ from uavbatt.records import Route
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
-MOST_HOVERS = 2.0  # a route is looked at for as long as so many hovers on this charge: it does not fit anyway
+MOST_HOVERS = 2.0  # a longer route is not simulated: it does not fit
 LEVELS = (0.05, 0.5, 0.95)
-NOT_REACHED = 0.5  # a place before which more of the draws end has no charge to speak of
+NOT_REACHED = 0.5  # no charge is shown where more of the draws have ended before
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 

@@ -9,14 +9,14 @@ from uavbatt.prediction.load import LOWEST_POWER_W, RecentLoad
 from uavbatt.records import NAN, Sample
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
-CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance: once it has been armed for so long
-ALOFT_C = 0.05  # where its place says that it is in the air
+CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance, armed for so long
+ALOFT_C = 0.05  # if its position shows it in the air
 GROUNDED_C = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 FLYING_TAU_S = 3.0
-LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
+LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
-NEW_PIECES = 2  # of the powers flown: they may hold the rise itself
+NEW_PIECES = 2  # the newest powers may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 

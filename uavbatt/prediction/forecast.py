@@ -36,7 +36,7 @@ class Forecast(NamedTuple):
     def counted_down(self, time_s: float, estimate: Estimate) -> Remaining:
         """Return the remaining time at a later time [s], with status and reason of the estimate there."""
         age_s = time_s - self.time_s
-        return Remaining(  # what is not known, NaN, stays so: it is the first of the two
+        return Remaining(  # max() keeps NaN, the first of the two
             time_s=time_s,
             remaining_s=max(self.median_s - age_s, 0.0),
             remaining_lo_s=max(self.lo_s - age_s, 0.0),

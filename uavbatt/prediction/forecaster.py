@@ -35,14 +35,14 @@ from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
 JUST_TAKEN_OFF = "the load has just come"
-SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
+SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
 # Steps to the typical end, and the longest one [s]: gusts must be seen one by one (with 15 s worn packs are given 5 s
 # more at half time); for a steady power the longer steps move the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 SHORTEST_STEP_S = 1.0
-LONGEST_FLIGHT_S = 6 * 3600.0  # at the typical power, from all the charge that may be left
-LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
+LONGEST_FLIGHT_S = 6 * 3600.0  # longest time at the typical power with all the charge that may be left
+LONGEST_SHARE = 2.0  # horizon over the time at the typical power; the gentlest load is half
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +87,8 @@ class Forecaster:
         self._asked_s = NAN
         self._ways = WaysAsked()
         self._last: Forecast | None = None
-        self._progress = Progress()  # on the route
-        self._rested: Belief | None = None  # the last one on the ground
+        self._progress = Progress()  # progress on the route
+        self._rested: Belief | None = None  # the last belief on the ground
         self._at_take_off: AtTakeOff | None = None
 
     @property
@@ -259,7 +259,7 @@ class Forecaster:
         power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flown
         rate = float(c_rate(installation, current_A))
         self._flown = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up
+        if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # before it was spool-up
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)

@@ -19,12 +19,12 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.powers_flown import PowersFlown
 from uavbatt.prediction.swings import Swings, swung
 
-MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # of the averages
-UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # of a flight that has just begun
-STATED_SPREAD = 0.04  # an operator who states watts means about these watts
+MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # time constants of the averages
+UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # swings of a flight that has just begun
+STATED_SPREAD = 0.04  # relative sd of a power that the operator states
 SCENARIOS = 9
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
-LOWEST_POWER_W = 1.0  # of a load: a forecast divides by it
+LOWEST_POWER_W = 1.0  # least load: a forecast divides by it
 
 
 class Scenarios(NamedTuple):

@@ -23,7 +23,7 @@ from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.sampling import wander
 
 STEP_S = 20.0
-LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of each step
+LONGEST_STEP_S = 2.0 * STEP_S  # longest step if only the charge is needed, not the sag of each step
 
 
 class FlyingDraws(NamedTuple):

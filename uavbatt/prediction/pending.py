@@ -19,7 +19,7 @@ from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
 ALARM = f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left"
-ENDS_SOON = "the measured voltage falls to the cut-off within about two minutes"  # where no time can be said
+ENDS_SOON = "the measured voltage falls to the cut-off within about two minutes"  # used if no time is known
 TURN_BACK = "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %"
 
 
@@ -31,7 +31,7 @@ class Pending(NamedTuple):
     forecaster: Forecaster | None
     refusal: str
     question: Question | None = None
-    voltage_left_s: float = math.inf  # until the measured voltage itself is at the cut-off
+    voltage_left_s: float = math.inf  # time until the measured voltage itself reaches the cut-off
 
     def finish(self, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
         """Return the estimate and the remaining time; `ends` answers the question, if there is one."""

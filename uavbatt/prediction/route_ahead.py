@@ -20,9 +20,9 @@ from uavbatt.prediction.route_pieces import Pieces, Way, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 from uavbatt.records import NAN
 
-STRAIGHT = 0.9  # of the speed: within 26 degrees of the way home
+STRAIGHT = 0.9  # share of the speed towards home: within 26 degrees of the way home
 LEAST_TIMING_SD = 0.02
-FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
+FARTHEST_HOVER_MS = 2.0  # a return that moves faster has finished its climb
 LEAST_SINKING_MS = 0.2
 RETURNS = (Mode.RETURN, Mode.RETURN_BY_TRACK)
 
@@ -159,7 +159,7 @@ def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Piec
 def _present(progress: Progress, here: Point, time_s: float) -> Leg:
     """Return what is left of the leg that is flown."""
     leg = progress.leg
-    if leg.circle_m > 0.0:  # its place on the circle does not say how many turns are left
+    if leg.circle_m > 0.0:  # the position does not tell how many turns are left
         flown = (time_s - progress.behind_s) / progress.lessons.expected_s(leg)
         return leg._replace(run_m=leg.run_m * min(max(1.0 - flown, 0.0), 1.0))
     if math.isfinite(progress.arrived_s):

@@ -30,8 +30,8 @@ NAMES = {
     LoggedLoad: "log",
     ConstantLoad: "stated",
 }
-IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
-HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
+IN_TIME = 0.05  # a route with a smaller risk needs no turn-back
+HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back later
 # Both ways cost as much as the end itself, and what was said of them counts down. They are asked about anew when so
 # much of the time at the typical power has passed, after 4 s at the soonest and 10 s at the latest.
 WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
@@ -121,14 +121,14 @@ def fly_ways(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, 
     The draws fly on once: through the instants of turning to the last touchdown.
     """
     asked = RouteAsked(known.name, _reason(known), None, None, None)
-    scenario = flying.scenario % SCENARIOS  # of another load the numbers of scenarios mean nothing
+    scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     homewards, turn_at_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
         stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]
         asked = asked._replace(route_s=known.route.touchdown_s * stretch)
         last_s = np.minimum(np.max(known.route.touchdown_s * stretch, keepdims=True), flying.dt_s.sum())
     if homewards is not None:
-        here = homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
+        here = homewards.ahead.begin  # without a route the aircraft is assumed to stay where it is
         flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
         turn_at_s = turn_instants(min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf))
     if asked.route_s is None and homewards is None:
@@ -157,7 +157,7 @@ def route_answer(asked: RouteAsked, end_s: Array) -> Route:
         said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
     if asked.turning is None:
         return said
-    is_in_time = said.risk <= IN_TIME  # all the later instants are most of the work
+    is_in_time = said.risk <= IN_TIME  # then the later instants, most of the work, are not needed
     turn = fly_home(asked.turning.now if is_in_time else asked.turning)
     home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)

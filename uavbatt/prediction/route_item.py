@@ -13,9 +13,9 @@ from uavbatt.prediction.route_legs import Leg, Phase, Point
 
 ARRIVED_M = 4.0
 DOWN_M = 0.5
-ASTRAY_M = 15.0  # a climb ends, and a descent begins, no further than this from where the plan has it
-SINKING_MS = 0.2  # a wait at another height than the plan's is no descent
-NEARING_MS = 1.0  # towards the centre: who nears it is not on the circle yet
+ASTRAY_M = 15.0  # a climb ends, and a descent begins, at most so far from the planned place
+SINKING_MS = 0.2  # a slower fall is a wait at another height than planned
+NEARING_MS = 1.0  # towards the centre: an aircraft that nears it is not on the circle yet
 
 
 def item_end(legs: Sequence[Leg], at: int) -> int:
@@ -31,7 +31,7 @@ def is_there(leg: Leg, here: Point) -> bool:
     if leg.phase is Phase.LANDING or leg.circle_m > 0.0:
         return False
     if leg.phase is Phase.HOME and leg.run_m > 0.0:
-        return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at whichever height it returned
+        return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at any height
     return math.dist(here, leg.end) < ARRIVED_M
 
 

@@ -31,16 +31,16 @@ class Point(NamedTuple):
 class Leg(NamedTuple):
     """A Leg is a straight way from one point to another with its speed limits, and the wait at its end."""
 
-    seq: int  # of the mission item; -1 on the way home
+    seq: int  # number of the mission item; -1 on the way home
     phase: Phase
     begin: Point
     end: Point
-    run_m: float  # horizontal; of a curve its length
+    run_m: float  # horizontal length, along the curve if it is one
     speed_ms: float
     climb_ms: float
     descent_ms: float
     hold_s: float = 0.0
-    circle_m: float = 0.0  # radius of the circle around its end that it is; 0: it is straight
+    circle_m: float = 0.0  # radius of a circle around `end`; 0 if the leg is straight
 
     @property
     def rise_m(self) -> float:

@@ -15,8 +15,8 @@ from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings
 
 SCENARIOS = 64
-SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
-GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
+SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight changes from slow to fast, to which `fast_sd` applies
+GUSTS = 0.2  # sd of the airspeed over the wind speed, as over open land
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,15 +15,15 @@ from typing import NamedTuple
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
 from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, legs_table
 
-METRES_PER_DEGREE = 111_194.9  # of a sphere of 6371 km
+METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
 ENDLESS_S = 1e6  # a loiter without end
 SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
-# Where the vehicle does not say: ArduCopter's defaults.
+# ArduCopter's defaults, used if the vehicle does not state its own.
 CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
 CIRCLE_RADIUS_M = 10.0
-ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these fly nowhere
+ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Path:
 
     legs: tuple[Leg, ...] = ()
     reason: str = ""
-    lands: bool = True  # false: it waits somewhere without end
+    lands: bool = True  # False: it waits somewhere without end
 
     @cached_property
     def table(self) -> LegsTable:
@@ -48,7 +48,7 @@ class _Speeds(NamedTuple):
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
     """Return a place as a point in metres around home."""
-    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, across 180° as well
+    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, also across 180°
     east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
     return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
 

@@ -17,8 +17,8 @@ from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
 
 Column = NDArray[Any]
-THROUGH = 0.5  # cosine of the sharpest corner that is flown through: 60 degrees; before others the aircraft stops
-CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the wind meets it from all sides
+THROUGH = 0.5  # cosine of 60 degrees: before a sharper corner the aircraft stops
+CURVE = 1.5  # a leg so many times longer than the straight line is a curve
 
 
 class Pieces(NamedTuple):
@@ -29,10 +29,10 @@ class Pieces(NamedTuple):
     climb_ms: Array
     taking_off: Column  # bool
     landing: Column  # bool
-    seq: Array  # of the mission item; -1 on the way home
+    seq: Array  # number of the mission item; -1 on the way home
     end: Array  # [pieces, 3]: where they end, as a `Point`
     length_sd_s: Array
-    gained_ms: Array  # the ground speed that is gained in it from rest; 0: it flies on
+    gained_ms: Array  # ground speed gained from rest in this piece; 0 if it flies on
 
     @property
     def ends_s(self) -> Array:

@@ -18,9 +18,9 @@ STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
-ASTRAY, ASTRAY_S = 0.1, 4.0  # the autopilot's word of a new item may be some seconds old
+ASTRAY, ASTRAY_S = 0.1, 4.0  # a new item may be reported some seconds late
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
-STEADY_MS = 0.3  # the velocity of a hover in gusts changes by about so much in TOLD_PERIOD_S
+STEADY_MS = 0.3  # change of velocity in TOLD_PERIOD_S of a hover in gusts
 
 
 class Movement(NamedTuple):
@@ -35,18 +35,18 @@ class Movement(NamedTuple):
 class Progress(NamedTuple):
     """Progress remembers how far the aircraft is on its route; it is a value, replaced by `after`."""
 
-    known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
+    known_by: tuple[Mission, Home, ReturnSettings] | None = None  # the path was made from these
     path: Path = Path()
-    at: int = -1  # the first leg of the item that is flown to
+    at: int = -1  # index of the first leg of the present item
     leg_since_s: float = NAN
-    is_timed: bool = False  # that leg, from its planned begin on: its time says how long planned legs last
-    behind: int = 0  # legs of that item that are over, by the place
-    behind_s: float = NAN  # since when the leg after them is flown
-    arrived_s: float = NAN  # since when the aircraft waits at that leg's end
+    is_timed: bool = False  # that leg began as planned, so that its time counts
+    behind: int = 0  # number of legs of that item that are over, by position
+    behind_s: float = NAN  # time at which the present leg began
+    arrived_s: float = NAN  # time at which the aircraft arrived at that leg's end
     time_s: float = NAN
-    told_s: float = NAN  # when the power was last held against the level
-    moved: Position | None = None  # the place and velocity of TOLD_PERIOD_S ago
-    is_steady: bool = True  # it keeps its velocity: the power belongs to airspeed and climb, not to a turn
+    told_s: float = NAN  # time at which the power was last compared with the model
+    moved: Position | None = None  # position and velocity TOLD_PERIOD_S ago
+    is_steady: bool = True  # the velocity is kept, so that the power is not that of a turn
     lessons: FlightLessons = FlightLessons()
 
     def after(

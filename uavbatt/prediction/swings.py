@@ -16,7 +16,7 @@ from uavbatt.prediction.sampling import LONGEST, held
 
 # A manoeuvre is a climb or wind on the nose: these end a flight early, near empty the cut-off lies a climb away.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
-LARGEST_GUSTS = 0.6  # of a normal law around the mean
+LARGEST_GUSTS = 0.6  # larger swings would not be normal around the mean
 STEPS_IN_BLOCK = 32
 
 
@@ -37,7 +37,7 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
     exponent = np.zeros((dt_s.size, count))
     for process, (sd, memory_s) in enumerate(((swings.manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))):
         if sd > 0.0:
-            variance = math.log1p(sd**2)  # of the logarithm of a factor that has mean 1 and this sd
+            variance = math.log1p(sd**2)  # of the logarithm of a factor with mean 1 and this sd
             exponent += math.sqrt(variance) * _wandering(dt_s, count, memory_s, process) - 0.5 * variance
     return np.asarray(np.exp(exponent))
 

@@ -33,11 +33,11 @@ from uavbatt.prediction.time_to_end import EndTimes
 
 SETTLED_S = 60.0
 FORGOTTEN_S = 240.0
-NEAR_S = 120.0  # a pack that is this near its end shows it
+NEAR_S = 120.0  # so near its end, a pack shows it
 LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
 SHOWN_TAU_S, MOST_CHANGE = 20.0, 4.0
 MOST_ENDS = 1024
-TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
+TYPICAL_SPREAD = 0.4  # as ln: nine of ten multirotors are within a factor of two
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class AtTakeOff(NamedTuple):
     """
 
     take_off_s: float
-    power_W: float  # that was expected
+    power_W: float  # the expected power
     end_s: tuple[float, ...]  # sorted
     low_s: tuple[float, ...]  # sorted
 

@@ -25,11 +25,11 @@ from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, Pieces, Way, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
-TURNS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
-CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
+TURNS, CROWDED = 16, 1.5  # number of instants; early ones are closer together
+CLIMB_STEPS = 3  # least steps of a climb, because the sag is deepest at its end
 FASTEST_CLIMB_MS = 0.3
-TURN_STEPS = 2  # as it speeds up, too: in the middle of it
-ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
+TURN_STEPS = 2  # least steps of a turn in which the aircraft speeds up
+ROUGH = 1.0  # sds that the highest mean over 5 s, which is judged, lies above the mean
 
 
 class Turning(NamedTuple):
@@ -100,7 +100,7 @@ def _fly_home(
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
     least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
-    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over yet: each has a length of its own
+    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
         if not is_asked.all():
@@ -145,7 +145,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
     turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
-    if not pieces.length_s.size:  # down at home already: nothing is left to fly
+    if not pieces.length_s.size:  # already down at home
         pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
@@ -154,7 +154,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
-    length_s, power_W, fast, rough = told[:, index]  # a way that is over goes on as it ended, in no time
+    length_s, power_W, fast, rough = told[:, index]  # a way that is over repeats its last step with a length of 0
     return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough)
 
 

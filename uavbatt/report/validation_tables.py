@@ -36,7 +36,7 @@ KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d
 FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
-FOLDED_NOTES = 4  # so many and more
+FOLDED_NOTES = 4  # so many notes, or more, are folded
 SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
@@ -95,7 +95,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
+    why = FIGURE.sub("", plain_reason(c))  # without its figure, which may be of another instant than the row
     return *told, why, gates, number(bias, decimals, unit, sign=True), interval, limit
 
 

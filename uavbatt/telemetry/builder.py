@@ -47,12 +47,12 @@ class LogBuilder:
     counts: Counter[str] = field(default_factory=Counter)
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
-    packs: dict[int, PackIdentity] = field(default_factory=dict)  # by battery
+    packs: dict[int, PackIdentity] = field(default_factory=dict)  # by number of the battery
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # a longer step ahead is a leap of the clock
     reboot_gap_s: float = REBOOT_GAP_S  # gap after a clock that fell back
-    forecast_period_s: float = NAN  # of the process that made the recording
+    forecast_period_s: float = NAN  # period of the process that made the recording
     _raw_s: float = NAN
     _offset_s: float = NAN
 

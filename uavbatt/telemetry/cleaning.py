@@ -15,11 +15,11 @@ from typing import NamedTuple
 from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
-LATEST_S = 1e12  # no clock shows thirty thousand years
+LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
-LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell: what is beyond is a fault of the monitor
+LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -30,10 +30,10 @@ class Cleaner(NamedTuple):
     stated_power_W: float = NAN
     voltage_V: float = NAN
     voltage_s: float = NAN
-    odd_V: float = NAN  # of the last row, where it leapt: used if the next row repeats it
+    odd_V: float = NAN  # last voltage, if it leapt: used if the next row repeats it
     temp_C: float = NAN
     temp_s: float = NAN
-    hottest_start_C: float = BOARD_START_C  # of a sensor in the pack
+    hottest_start_C: float = BOARD_START_C  # highest temperature at the start for a sensor in the pack
     is_board_sensor: bool = False
     reads_escs: bool = False  # the temperature is that of the motor controllers
     current_A: float = NAN
@@ -51,7 +51,7 @@ class Cleaner(NamedTuple):
         most_A : a current above it [A] is not used, as the pack cannot give it.
         """
         if not abs(sample.time_s) < LATEST_S:
-            return self, Sample(NAN, NAN)  # nobody knows when this was
+            return self, Sample(NAN, NAN)  # the time is not known
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample, assumed_power_W, most_A)

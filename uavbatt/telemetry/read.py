@@ -106,7 +106,7 @@ def _binary(file: BufferedReader) -> Content:
 
     found = np.empty(os.fstat(file.fileno()).st_size, np.uint8).data
     size = file.readinto(found)
-    rest = file.read()  # of what is a pipe, or is still being written
+    rest = file.read()  # more bytes, of a pipe or of a file that still grows
     return bytes(found[:size]) + rest if rest else found[:size]
 
 

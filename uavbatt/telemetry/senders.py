@@ -21,7 +21,7 @@ from uavbatt.telemetry.streams import Stream
 SENDER_SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
 WINDOW_S, FEWEST_ROWS = 10.0, 4
-HELD_S = 10.0  # after the last row of one that disagreed; a conflict that flickers is one
+HELD_S = 10.0  # a conflict lasts so long after the last row that disagreed
 MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
 # Two ways of one autopilot differ by what changes between their rows; ranges over seconds overlap.
 APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02

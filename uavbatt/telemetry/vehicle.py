@@ -37,8 +37,8 @@ from uavbatt.telemetry.senders import MOST_SENDERS, Senders
 from uavbatt.telemetry.streams import SequenceNumbers
 
 FALLBACK_AFTER_S = 5.0
-ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
-LONGEST_ALONE_S = 2.0  # that one SYS_STATUS stands for: in a gap of the link nothing speaks
+ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
+LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 CONFIRMED_WITHIN_S = 60.0
 BEATING_S = 3.0
 MOST_HELD = 500
@@ -78,17 +78,17 @@ class Vehicle:
         self.is_px4: bool | None = None  # until the first heartbeat
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
         self.hardware = ""  # serial number of the autopilot
-        self.packs: dict[int, fields.PackIdentity] = {}  # who the packs are by their own words
-        self.speaks = False  # whether it has spoken of a battery twice
+        self.packs: dict[int, fields.PackIdentity] = {}  # identity of each pack, as it says itself
+        self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
         self.lateness = Lateness()
-        self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
+        self._log = LogBuilder(longest_step_s=math.inf)  # the clock is monotonic: a long step is a real gap
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
         self._first_s: float | None = None
         self._sys_status_s = -math.inf
-        self._alone_s = 0.0  # for which SYS_STATUS has come without a row of BATTERY_STATUS of battery 0
+        self._alone_s = 0.0  # time of SYS_STATUS without BATTERY_STATUS of battery 0
         self._spoke_s = -math.inf
 
     @property
@@ -177,7 +177,7 @@ class Vehicle:
         if message_id in OF_AUTOPILOT:
             self._take_of_route(message_id, message, frame, time_s)
             return []
-        if battery is None:  # of a mission's writer, under the autopilot's own name
+        if battery is None:  # from a program that writes a mission, with the autopilot's own ids
             return []
         if message_id == fields.BATTERY_STATUS:
             row = self._row(time_s, self._with_all_cells(battery, time_s))
@@ -218,7 +218,7 @@ class Vehicle:
         self.battery_ids.add(row.instance)
         is_completed = first.sample.cell_voltages_V and not row.sample.cell_voltages_V
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [row] if is_completed else [first, row]  # the first one's sum lacks the same cells
+        return [row] if is_completed else [first, row]  # the first row lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """Return rows of SYS_STATUS or BATTERY2 once it is clear that no BATTERY_STATUS comes for the battery."""

@@ -65,7 +65,7 @@ def read_csv(source: str, data: bytes) -> LogBuilder:
         sample = _sample(source, place, named, before_s)
         before_s = sample.time_s
         start_s = before_s if start_s is None else start_s
-        log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
+        log.now_s = before_s - start_s  # the times of a table are stated: a jump is no reboot
         log.add(0, replace(sample, time_s=log.now_s))
     check_units(source, log.rows.get(0, []), log.counts[IMPOSSIBLE_CURRENTS])
     return log
@@ -106,7 +106,7 @@ def _cells(line: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader(io.StringIO(line)))]
     except csv.Error:
-        return [line]  # one endless cell: refused by the count of columns
+        return [line]  # a cell without an end: the count of columns refuses it
 
 
 def _columns(source: str, header: Sequence[str], log: LogBuilder) -> list[str]:

@@ -84,7 +84,7 @@ class _Mission:
 
     def __init__(self, builder: NavigationBuilder) -> None:
         self._builder = builder
-        self._items: list[MissionItem] = []  # of a list that is being written
+        self._items: list[MissionItem] = []  # items of a list that is being written
 
     def command(self, time_s: float, total: int, fields: Fields) -> None:
         """Take a CMD: the next of a list, the first of one, or the item that is flown now."""

@@ -103,7 +103,7 @@ def first_words(data: bytes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str,
 def _whole(source: str, lines: Iterator[list[str]]) -> Iterator[list[str]]:
     try:
         yield from lines
-    except csv.Error as error:  # a cell without an end
+    except csv.Error as error:  # a quoted cell is not closed
         raise BadInput(source, "", f"a table, cannot be read: {error}") from None
 
 

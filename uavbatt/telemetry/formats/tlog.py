@@ -52,7 +52,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
     """
     log = LogBuilder(
         longest_step_s=math.inf if is_recording(data) else LEAP_S,
-        reboot_gap_s=CLOCK_GAP_S,  # its clock is the ground's
+        reboot_gap_s=CLOCK_GAP_S,  # its times are those of the ground station
         forecast_period_s=forecast_period_s(data),
     )
     found = frames(data)

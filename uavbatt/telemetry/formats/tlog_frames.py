@@ -41,9 +41,9 @@ _HEAD_BYTES = 65_536
 _NO_SEED = -1
 _WINDOW = 1 << 22  # bytes; checksums are worked out window by window, and the more frames at once the better
 _BLOCK = 64  # candidates
-_SEEDS = np.full(max(SEEDS) + 2, _NO_SEED, np.int64)  # by message; the last stands for all beyond
+_SEEDS = np.full(max(SEEDS) + 2, _NO_SEED, np.int64)  # by message number; the last entry is for all larger numbers
 _SEEDS[list(SEEDS)] = list(SEEDS.values())
-_MAY_BE_WANTED = np.isin(np.arange(256), [number & 0xFF for number in SEEDS])  # by the low byte
+_MAY_BE_WANTED = np.isin(np.arange(256), [number & 0xFF for number in SEEDS])  # by the low byte of the number
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 
@@ -53,9 +53,9 @@ class FrameTable:
     """FrameTable holds the wanted frames in file order, and what the whole file says of time and damage."""
 
     data: Bytes
-    start: Places  # of the stamp
+    start: Places  # place of the stamp
     payload: Places
-    length: NDArray[np.int64]  # of the payload, trailing zeros trimmed away by the sender
+    length: NDArray[np.int64]  # of the payload, from which the sender trims trailing zeros
     message_id: NDArray[np.int64]
     source: NDArray[np.int64]  # 256 * system + component
     first_s: float  # reception of the first and last frame of any kind; NaN without one

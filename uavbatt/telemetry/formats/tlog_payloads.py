@@ -31,7 +31,7 @@ BATTERY_STATUS = np.dtype(
     }
 )
 AUTOPILOT_VERSION = np.dtype({"names": ["uid", "flight_sw"], "formats": ["<u8", "<u4"], "offsets": [8, 16]})
-_SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
+_SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest in the next entry
 
 
 class BatteryMessages(NamedTuple):

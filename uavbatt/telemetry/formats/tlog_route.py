@@ -75,7 +75,7 @@ LAYOUTS = {
 }  # fmt: skip
 _ALL_COMPONENTS = 0
 _MICROSECOND_S = 1e-6
-_LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps further is damaged
+_LONGEST_STEP_S = 60.0  # stamps have no checksum: one that leaps further is damaged
 
 
 class TlogClock(NamedTuple):

@@ -155,7 +155,7 @@ class NavigationListener:
         if known is None or known.reason or self.transfer.is_open:
             return
         is_changed = mission_id and self._mission_id and mission_id != self._mission_id
-        lengths = (len(known.items) - known.has_home_item, len(known.items))  # not all leave out home, as they should
+        lengths = (len(known.items) - known.has_home_item, len(known.items))  # some programs count home, some do not
         self._mission_id = mission_id or self._mission_id
         if is_changed or total not in (*_NO_TOTAL, *lengths):
             self._outdate(time_s)

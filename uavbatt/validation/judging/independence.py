@@ -110,7 +110,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     rows = np.arange(n)
     random_same, random_r = same[rows, orders].sum(axis=1), product[rows, orders].sum(axis=1)
     observed_same, observed_r = int(np.trace(same)), float(np.trace(product))
-    extra = 0 if n <= 7 else 1  # the full set of orders holds the observed one
+    extra = 0 if n <= 7 else 1  # the full set of orders includes the observed one
     total = len(orders) + extra
     p_same = (extra + int(np.sum(random_same >= observed_same))) / total
     p_r = (extra + int(np.sum(random_r >= observed_r - 1e-12))) / total
