@@ -22,7 +22,7 @@ RESTING_SLACK_V = 0.2  # a cell that rests so far below its type's empty voltage
 ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # for a cut-off or a low-voltage warning
 CAPACITY_AH = (0.05, 500.0)
 AMBIENT_C = (-40.0, 60.0)
-# How packs are flown and settings made, where a count of cells must be guessed from the first voltage.
+# How crews charge packs and set cut-offs. A count of cells is guessed from the first voltage by these numbers.
 CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # full cell, its sd, its fall for each C of load
 LEAST_CHARGED_CELL_V = 3.65  # at rest: crews do not take off with less than a tenth of the charge
 HIGH_CHARGED, HIGH_CHARGED_CELL_V, HIGH_CHARGED_SD_V = 0.05, 4.33, 0.03  # cells that charge to 4.35 V, so many of all
@@ -33,7 +33,7 @@ LESS_LIKELY = 12.0
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
 HIGHEST_C_RATE = 200.0  # in any row: at this rate a pack is empty in 18 s
-# No pack that rested nearly empty gives so much of its charge, nor does one of twice the capacity that is stated.
+# A pack that rested nearly empty cannot give this share of the stated capacity, even if it has twice that capacity.
 EMPTY_OVERDRAWN = 0.3
 LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds
 KELVIN = (230.0, 360.0)  # a cell's temperature in the wrong unit

@@ -56,7 +56,7 @@ class Scales(NamedTuple):
     covariance: Array
 
 
-# Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
+# Prior of a pack without memory and without assumptions: so wide that the belief shows what the flight itself says.
 UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
 HALF_CHARGE, HOVER_C_RATE = 0.5, 2.5
 REMEMBERED_REACTION_SD_V = 0.025  # for remembered ohms that are a reaction; half of that of any pack

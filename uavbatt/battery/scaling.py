@@ -49,42 +49,42 @@ class Pack(NamedTuple):
         return self._replace(cutoff_V=self.cutoff_V + raised_V, low_V=self.low_V + raised_V)
 
 
-# Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
-# row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
+# Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
+# the row before. On flights with a row every 12 s it was 14 mV, and 10 mohm times the change, for a pack of 90 mohm.
 ROW_SHARE = 0.12
 DROP_SHARE = 0.09  # errors that all readings share are in the discrepancy
 COLLAPSE_V = 4.0  # volts per unit of charge
-# A pack in service is not the tested pack: electrodes that have aged or are of another batch react more slowly. This
-# costs a voltage as soon as the load comes, the same at every charge and temperature: 0.05 V a cell at 0.6 of the
-# exchange current, which a pack that has lost a sixth of its charge may have. With a smaller sd its drop would be taken
-# for resistance, which grows in the cold and at the knee, and for charge that compensates for it.
+# A pack in service is not the tested pack: aged electrodes, or those of another batch, react more slowly. This lowers
+# the voltage as soon as the load begins, by the same amount at every charge and temperature: 0.05 V a cell at 0.6 of
+# the exchange current, which a pack that has lost a sixth of its charge may have. With a smaller sd the filter would
+# explain this drop by resistance, which grows in the cold and at the knee, and correct the charge for it.
 SERVICE_REACTION_SD_V = 0.05
 # The rest, beside the reaction, changes by 5 to 15 mV within some minutes as the cell warms and empties.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.012, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # The printed capacity of an untested make is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
-# Its curve is a mean over makes, and is off to the same side for minutes at a time: a tenth of the readings is
-# independent, and its wide discrepancy covers the error of the drop.
+# The curve of an untested make is a mean over makes, with an error that stays the same for minutes: a tenth of the
+# readings is independent, and the wide discrepancy covers the error of the drop.
 UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
 UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
-# Its ohms have wide room already. With more for the reaction, what rounding does to a reading grows in a log that
-# begins in the air.
+# Its resistance has a wide spread already. With more spread for the reaction, rounding of the readings does more harm
+# in a log that begins in the air.
 UNKNOWN_MAKE_REACTION_SD_V = 0.02
 # A mean over makes does not tell how much charge a make leaves in its cells at the knee: 0.5 to 5 % at 2 to 5 C in
 # three makes, 0 to 24 % in a fourth, which diffuses slowly.
 UNKNOWN_MAKE_EMPTY_SOC_SD = 0.05
 # A fit has seen packs at rest mostly when full; a mean over makes is equally good at rest at any charge.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
-# The standard error of a parameter ignores correlations: a curve that is too high at every charge comes with too little
-# resistance, and the voltage of a flight is known far better than either. Of three makes with a known curve 11 mV were
-# stated, of which 4 mV changed from one charge to another. A certified file may come from tests with an unmeasured
-# load, as the study's: its standard errors include that.
+# The standard error of a parameter ignores correlations: an OCV that is too high at every charge comes with too little
+# resistance, and the voltage of a flight is known far better than either. For three makes with a known curve 11 mV were
+# stated, of which 4 mV changed with the charge. A certified file may come from tests with an unmeasured load, as in the
+# study: its standard errors include that.
 ALONE_SHARE = {"fitted": 0.4}
-# The discrepancy of a prior is that of its whole curve, whose knots have their own errors: this share remains.
+# The discrepancy of a prior includes errors of its knots; this share of it remains for the model itself.
 BESIDE_KNOTS = 0.45
-# The status widens the belief: a file that was not gated may describe another battery. (A generic file has wide spreads
-# by itself; the numbers of an edited file may come from anywhere.)
+# The status of the file widens the belief: a file that was not gated may describe another battery. A generic file has
+# wide spreads by itself; the numbers of an edited file may come from anywhere.
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 

@@ -35,11 +35,11 @@ FIRST_ROWS_S = 120.0  # part of a log that a command reads before it begins
 LOADED_C_RATE = 0.4
 REVERSED_C_RATE = 0.1  # a sensor's offset on the ground is less
 REVERSED_S, REGENERATING_S = 15.0, 90.0  # longest charging by a current that never discharged, and by one that did
-# A load that is light for the stated capacity, and yet the voltage gives way: the ohms would be those of no battery.
-# OCV_SLOPE_V a cell and unit of charge at most are the discharge itself, while a cell shows more than PLATEAU_V.
+# The load is light for the stated capacity, but the voltage falls so much that no battery has this resistance. Of the
+# fall at most OCV_SLOPE_V per cell and unit of charge is the discharge itself, while a cell is above PLATEAU_V.
 STRAIN_CELL_V, SURE_STRAIN_CELL_V = 0.08, 0.15
 OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
-# Charge drawn against the charge stated, the cells still far from empty: sensors read up to a third too much.
+# Charge drawn over the stated capacity, with cells still far from empty: sensors read up to a third too much.
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]

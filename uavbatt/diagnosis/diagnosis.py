@@ -57,7 +57,7 @@ class Diagnosis:
     left: Shape
     findings: tuple[FoundEffect, ...] = ()
     blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
-    # How much of each effect could be there without being seen; when none was found.
+    # The largest size of each effect that could be present unseen; filled if none was found.
     hidden: tuple[HiddenSize, ...] = ()
 
     @property

@@ -231,7 +231,7 @@ def _voltage_whitener(
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
     drawn = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
-    # Learned on packs that took off full, what stands at a full charge may be of the charge or of the take-off.
+    # It was learned on packs that took off full: an error at full charge may come from the charge or from the take-off.
     log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
     wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
     wandering_V *= _cold(known, stack.start_temp_C[j])

@@ -68,7 +68,7 @@ def search(
         best = found[0].members[0]
     found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
     drift = found[0].drift if found else None
-    # Nothing, or a suspect: no ground to build a pair on.
+    # Nothing was found, or only a suspect: no pair is built on it.
     if drift is None and singles.largest_worth < EVEN and explains(best):
         return best, found, singles
     tell("pairs of effects")

@@ -22,10 +22,10 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.recursion import Innovation
 from uavbatt.records import NAN, Sample
 
-# Rows that show another pack, and how long: a current that comes 0.3 s late shows one at every take-off, at 10 Hz.
+# Rows that must show another pack, and how long: a current that comes 0.3 s late shows one at each take-off at 10 Hz.
 RESTED_C_RATE, SWAP_ROWS, SWAP_LASTS_S = 0.15, 3, 1.9
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
-# A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
+# A pack that has rested for SLOWLY_AFTER_S rises by at most 1 mV a second; a worn pack in the cold by 3 mV.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply

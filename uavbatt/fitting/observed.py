@@ -22,7 +22,7 @@ from uavbatt.telemetry.cleaning import Cleaner
 from uavbatt.telemetry.plausibility import BOARD_START_C
 
 BIN_S = 5.0
-# The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
+# The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0
 LEAST_ROWS, LEAST_BINS = 10, 3

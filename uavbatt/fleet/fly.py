@@ -198,7 +198,7 @@ def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
         found.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
     if row.mean_nis > HIGH_NIS:
         found.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
-    # a generic or edited file is no measure: packs differ by more than that when new
+    # a generic or edited file tells nothing here: new packs differ by more than that
     is_measured = row.certificate not in ("generic", "edited")
     if is_measured and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
         found.append(f"resistance {row.resistance_scale:.2f} times the battery file's")

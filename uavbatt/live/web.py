@@ -34,7 +34,7 @@ EVENT_PERIOD_S = 0.25
 SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
-# What the menu of a companion computer (BlueOS) shows of this service (/register_service).
+# The menu of a companion computer (BlueOS) shows this about the service (/register_service).
 ABOUT = {
     "name": "uavbatt",
     "description": "Remaining flight time",

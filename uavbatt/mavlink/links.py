@@ -116,7 +116,7 @@ class UdpLink:
     def _remember(self, sender: tuple[str, int], now_s: float) -> None:
         if sender not in self._peers and len(self._peers) >= MOST_PEERS:
             forgotten = [p for p, peer in self._peers.items() if now_s - peer.heard_s >= PEER_FORGOTTEN_S]
-            # the peer that sent least is dropped: many peers that send once must not push out an autopilot
+            # drop the peer that sent least, so that many peers that send once cannot push out an autopilot
             for gone in forgotten or [min(self._peers, key=lambda p: self._peers[p])]:
                 del self._peers[gone]
         was = self._peers.get(sender)

@@ -27,8 +27,8 @@ STALLED_S = 10.0  # a stream that is behind for so long has no reader
 NOT_SENT = 0x894B  # SIOCOUTQNSD of Linux: what a TCP connection has not sent yet
 
 
-# A host that goes without a word (its power, its range) is waited for as long, not for the quarter of an hour in which
-# TCP gives up: an autopilot's link is opened again, and it may have another address by then.
+# A host that disappears (no power, out of range) is given up after this time, not after the quarter of an hour of TCP.
+# The link to the autopilot is then opened again, perhaps at another address.
 UNANSWERED_S = 10
 _TCP_OPTIONS = {
     "TCP_NODELAY": 1,

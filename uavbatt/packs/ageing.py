@@ -34,10 +34,10 @@ FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # change in one flight
 MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # change in one month of storage
 DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
 LONGEST_DAYS = 3650.0
-# A flight's evidence holds at its own temperature and load; the next flight has others.
+# The evidence of a flight is for its own temperature and load; those of the next flight differ.
 OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
 OTHER_FILE_SD = np.array([0.10, 0.03])  # added if another battery file was used
-# A flight is odd from this many sd on; two flights in a row, taken together, from fewer.
+# A flight is odd if it is this many sds off; for two flights in a row, taken together, fewer are enough.
 ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 2.5, 2.5
 DAMAGED_SHARE = 0.1  # of packs that look damaged after two flights; the others age faster
 DAMAGE_SD = np.array([0.30, 0.15, 0.0, 0.0])

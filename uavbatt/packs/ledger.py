@@ -26,7 +26,7 @@ LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
 _BROKEN = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second for a text, in a row or an error, that is damaged
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
-# A log of the same flight that began earlier does not count; without a clock, all flights count that were saved before.
+# An earlier log of the same flight does not count; without a clock, all flights count that were saved before.
 BEFORE = f"""
 {OF_PACK} AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
     ELSE key != :key AND (start_utc_s IS NOT NULL OR flights.id < ifnull(

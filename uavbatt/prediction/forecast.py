@@ -10,8 +10,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Status
 
-# Forecasts are averaged over 20 s for a person to read, near the end over a tenth of the time left: an average lags,
-# and in the last minute the lag of 20 s was a large part of the error.
+# Forecasts are averaged over 20 s, so that a person can read them, and near the end over a tenth of the time left: in
+# the last minute the lag of a 20 s average was a large part of the error.
 STEADY_TAU_S, STEADY_SHARE = 20.0, 0.1
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)

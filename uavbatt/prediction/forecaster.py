@@ -36,8 +36,8 @@ from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
 JUST_TAKEN_OFF = "the load has just come"
 SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
-# Steps to the typical end, and the longest one [s]: gusts must be seen one by one (with 15 s worn packs are given 5 s
-# more at half time); for a steady power the longer steps move the end by less than 0.3 %.
+# Number of steps to the typical end, and the longest step [s]. Gusts must be simulated one by one: with steps of 15 s
+# worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 SHORTEST_STEP_S = 1.0

@@ -42,7 +42,7 @@ MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is 
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
-# 0.25 the Matrice 100 flights gain as much.
+# 0.25 the Matrice 100 flights are predicted equally well.
 BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
 FAR_APART = 9.0  # squared standard deviations
 ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights may differ later

@@ -18,7 +18,7 @@ from uavbatt.battery.model import Array
 SHORTEST_PIECE_S = 5.0  # the mean over 5 s that ends a flight
 MOST_PIECES = 256
 LONGEST_ROW_S = 30.0  # the power in a longer gap is not known
-# Before a flight has shown its own: manoeuvres of 15 % move the mean of a minute by a tenth. It counts as two minutes.
+# Used before a flight has shown its own: manoeuvres of 15 % move a minute's mean by a tenth. It counts as two minutes.
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 
 

@@ -32,8 +32,8 @@ NAMES = {
 }
 IN_TIME = 0.05  # a route with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back later
-# Both ways cost as much as the end itself, and what was said of them counts down. They are asked about anew when so
-# much of the time at the typical power has passed, after 4 s at the soonest and 10 s at the latest.
+# Route and way home cost as much work as the end itself. They are worked out anew after this share of the time at the
+# typical power, but not within 4 s and at least every 10 s; in between the last answer counts down.
 WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 

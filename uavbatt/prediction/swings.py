@@ -14,7 +14,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.prediction.sampling import LONGEST, held
 
-# A manoeuvre is a climb or wind on the nose: these end a flight early, near empty the cut-off lies a climb away.
+# Manoeuvres (climbs, head wind) end a flight early: near empty one climb takes the voltage to the cut-off.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
 LARGEST_GUSTS = 0.6  # larger swings would not be normal around the mean
 STEPS_IN_BLOCK = 32

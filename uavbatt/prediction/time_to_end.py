@@ -31,11 +31,11 @@ from uavbatt.prediction.curves import curve_tables, looked_up
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
-# Numbers that meet arrays at every step: as arrays of no dimension they cost numpy a third less than as floats.
+# Constants that are combined with arrays at every step: numpy works a third faster with 0-d arrays than with floats.
 MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
-# Of a forecast's draws: the 95 % point lies between ends that are among these. The last few would cost a fifth of all
-# steps, and count as ending with the last of these.
+# Share of the draws that is simulated to the end; the 95 % point lies among their ends. The last few would cost a fifth
+# of all steps, and count as ending with the last of these.
 COUNTED = 0.96
 
 

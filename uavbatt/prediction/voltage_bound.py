@@ -30,10 +30,10 @@ FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that 
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
 BLIND_REACH_V = 0.23  # without a current: a climb sags a cell by a tenth of a volt, and looks like the end
-SIGHT_S = 190.0  # a fall over a longer time says little
+SIGHT_S = 190.0  # a fall says little about an end further ahead
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
-# The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
+# Upper limits of the 5 % point, the alarm's point, the median and the 95 % point, over the time by the voltage.
 ALARM_SHARE = 0.63
 SHARES = (0.5, ALARM_SHARE, 1.25, 2.5)
 SURE_LOOKS = 5  # looks, one a second

@@ -183,7 +183,7 @@ def _residuals(found: Diagnosis) -> list[Html]:
     def warmth(one: Residual) -> Array:
         return one.temp_K
 
-    # The same scale before and after.
+    # Both panels have the same scale.
     limits_mV = max(_reach(before, volts, 1000.0), 2.5 * 1000.0 * found.floor_V)
     out = [
         _panel("Voltage before", before, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),

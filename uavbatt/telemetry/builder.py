@@ -128,7 +128,7 @@ def default_instance(log: LogBuilder) -> int:
     if len(log.columns or log.rows) == 1:
         return next(iter(log.columns or log.rows))
     there = log.columns or {number: rows_of(rows) for number, rows in log.rows.items()}
-    # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
+    # min() takes the first of equals, and a dict keeps the order of the log: of equals the earlier battery is taken.
     first_s = {number: rows.first_current_s for number, rows in there.items() if not math.isnan(rows.first_current_s)}
     given = {number: given_J(there[number]) for number in first_s}
     most_J = max(given.values(), default=0.0)

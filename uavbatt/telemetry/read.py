@@ -128,7 +128,7 @@ def _kind(source: str, data: Content) -> str:
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded blackbox log: decode it with blackbox_decode")
     if PurePath(source).name.startswith(_DJI_RECORD):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded DJI flight record: convert it to CSV first")
-    # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
+    # a damaged head: try tlog first, because a tlog may contain a downloaded DataFlash log
     from uavbatt.telemetry.formats.tlog_frames import looks_like_tlog
 
     if looks_like_tlog(data):

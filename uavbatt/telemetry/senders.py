@@ -23,7 +23,7 @@ WORDLESS_S = 10.0  # without a word of batteries, while another has some
 WINDOW_S, FEWEST_ROWS = 10.0, 4
 HELD_S = 10.0  # a conflict lasts so long after the last row that disagreed
 MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
-# Two ways of one autopilot differ by what changes between their rows; ranges over seconds overlap.
+# Readings of one autopilot over two links differ by what changes between their rows; ranges over seconds overlap.
 APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02
 
 

@@ -26,7 +26,7 @@ from uavbatt.telemetry.formats.px4_unknown import known
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
-# ulog2csv's columns of battery_status, the first that is there for each of ours, with the factor to our unit.
+# Columns of ulog2csv for each of ours, the first that is there, with the factor to our unit.
 ULOG2CSV: dict[str, tuple[tuple[str, ...], float]] = {
     "time_s": (("timestamp",), 1e-6),
     "voltage_V": (("voltage_v", "voltage_filtered_v"), 1.0),

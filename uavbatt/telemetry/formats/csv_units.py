@@ -22,7 +22,7 @@ SEVERAL_STEPS, SEVERAL_ROWS = 5, 20
 LEAST_COUNTED_AH, SAME, SHORT_S = 0.3, 0.1, 90.0
 LATER_UNITS = {60.0: "minutes", 3600.0: "hours"}  # in seconds
 MILLI = 1000.0
-# Under an equal load a cell falls by so much only when it has given so much of its charge.
+# Under an equal load a cell falls by this voltage only after it has given this share of its charge.
 FALLEN_CELL_V, FALLEN_SHARE, EQUAL_LOAD = 0.35, 0.4, 0.3
 
 

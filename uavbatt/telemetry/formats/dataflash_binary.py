@@ -132,7 +132,7 @@ class _Records:
             taken = chain.take(where, ends, None, *self._sound(ends), end)
             where, which = where[taken], which[taken]
             records = set(where[which == 0].tolist())
-            # what looked like a definition inside another record is none: then once more without it
+            # bytes inside another record only looked like a definition: walk again without it
             sound = [f for f in formats if f[0] in records]
             if len(sound) == len(formats):
                 break

@@ -60,7 +60,7 @@ def read_dataflash_text(data: bytes) -> LogBuilder:
                 continue
             wanted.setdefault(layout, _Lines()).add(place, values)
         elif TELLING.match(layout.name):
-            # a message may hold commas; a damaged line of these costs no row and is not counted
+            # text may hold commas; such a damaged line costs no row and is not counted
             values = _values(layout, [*cells[1 : len(layout.labels)], ", ".join(cells[len(layout.labels) :])], True)
             if values is not None:
                 telling.setdefault(layout, _Lines()).add(place, values)

@@ -61,7 +61,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
         return log
     chosen = _autopilot(source, found, log, system)
     of_source = found.at(found.source == chosen)
-    # the clock goes by the frames of the battery: one more message that is read shall move no row
+    # only battery frames set the clock, so that reading more kinds of messages moves no row
     own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if chosen != _NOBODY:
         log.identity = _identity(own, chosen, found.first_s)
@@ -136,7 +136,7 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     statements = own.at(place)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
-    # Until a heartbeat says so it is no PX4, and not armed. An integer waits for the first one, as in flight.
+    # Before the first heartbeat the vehicle counts as disarmed and not as PX4; integers wait for it, as in flight.
     if len(beats.place):
         waits = (place < beats.place[0]) & tlog_payloads.are_integers(payloads)
         place = np.where(waits, beats.place[0], place)

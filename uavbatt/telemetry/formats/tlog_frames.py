@@ -203,7 +203,7 @@ def _heads(data: Bytes, start: Places) -> _Heads:
 
 def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
     """Return which candidates are wanted messages, their heads, and if their checksums are right."""
-    # few pass this: the low byte of the number says no to most; in version 1 it stands elsewhere
+    # the low byte of the number excludes most candidates; in version 1 the number stands elsewhere
     chosen = np.flatnonzero(_MAY_BE_WANTED[data[_HEAD - 3 :][start]] | (data[_STAMP:][start] == _V1))
     heads = _heads(data, start[chosen])
     seeds = _SEEDS[np.minimum(heads.message_id, len(_SEEDS) - 1)]

@@ -110,7 +110,7 @@ def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
 
 def _battery_status(said: Any) -> BatteryMessages:
     mV, ext_mV = said["voltages"].astype(np.int64), said["voltages_ext"].astype(np.int64)
-    # zeros are fillers of careless senders: a cell at 0 V does not fly
+    # some senders fill unused cells with 0: no cell is at 0 V in flight
     filled = (mV != 0) & (mV != 65535)
     is_split = mV[:, 0] == _SPLIT_MV
     is_known = filled.any(axis=1)

@@ -98,7 +98,7 @@ class TlogClock(NamedTuple):
             return [0.0] * len(frames.start)
         last = np.maximum(latest_before(frames.start, self.start), 0)
         since_s = np.clip(frames.time_s - self.stamp_s[last], 0.0, _LONGEST_STEP_S)
-        # what stands behind a row of the battery was not known at that row, even with the same stamp
+        # a message behind a battery row was not known at that row, even with the same stamp
         row = latest_before(frames.start, self.start[self.is_row])
         known_s = np.append(self.time_s[self.is_row] + _MICROSECOND_S, 0.0)[row]
         times: list[float] = np.round(np.maximum(self.time_s[last] + since_s, known_s), 6).tolist()

@@ -34,7 +34,7 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
     for name, value in ulog.initial_parameters.items():
         _add_parameter(log, 0.0, name, value)
     for time_us, _, what in sorted(_events(ulog), key=lambda event: event[:2]):
-        # PX4 logs the last sample from before the start too: it counts as the start.
+        # PX4 also logs the last sample from before the start: it counts as at the start.
         time_s = log.time_s(max(time_us, ulog.start_timestamp) / _US)
         if isinstance(what, bool):
             log.armed = what

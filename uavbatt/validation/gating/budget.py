@@ -32,8 +32,8 @@ from uavbatt.validation.gating.heldout import HeldOut
 
 LEVEL = 0.05
 ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
-# What is assumed where a data set states nothing: the specification of a battery tester (a limit, so rectangular),
-# a thermocouple, a hand with a watch.
+# Assumed if a data set states nothing: the specification of a battery tester (a limit, so rectangular), a thermocouple,
+# readings by hand with a watch.
 ASSUMED_CALIBRATION = 0.001  # of the reading, ±
 ASSUMED_TEMPERATURE_C = 0.5
 ASSUMED_READING_S = 5.0

@@ -110,7 +110,8 @@ def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
         f"instant alone {band.covers_one:.0%}. To hold 95 % throughout takes ±{band.simultaneous_factor:.2f} SD."
     )
     numbers = {"held": held, "total": total, "share": left.share_all, "simulated": band.covers_all}
-    # true of every band that holds 95 % at one instant: the reader must know it, but it is no fault of the tests
+    # every band that holds 95 % at one instant has this property: the reader must know it, but the tests are not at
+    # fault
     yield Finding("corridor_coverage", title, detail, "note", numbers)
 
 
