@@ -1,4 +1,4 @@
-"""The discharge data-set folder <-> values.
+"""The discharge data-set folder: how it is read into values, and a template of it.
 
 A data set is a folder with `battery.toml` (what was tested) and `discharge.csv` (what was read), columns
 `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c`; an empty cell means not measured. `flags.toml`

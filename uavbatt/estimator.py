@@ -122,7 +122,7 @@ class Estimator:
         """Make an estimator for a packaged battery by name or a battery file by path (`battery_file.read_battery`).
 
         cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
-        Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
+        Raises UsageError for an impossible number, BadInput or Uncertified for a file that cannot be used.
         """
         options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, spelt=Names())
         file = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
@@ -199,8 +199,8 @@ class Estimator:
     ) -> Iterator[tuple[Estimate, Remaining]]:
         """Take samples in, with the facts as they are; yields the estimate and the remaining time after each.
 
-        navigation_at : navigation as it was known at a time [s]. Raises as `step`. The estimator stands some rows
-        ahead of what was yielded until the generator has come to its end, which it must before the next `run`.
+        navigation_at : navigation as it was known at a time [s]. Raises as `step`. The estimator is some rows ahead of
+        what was yielded until the generator ends: let it end before the next `run`.
         """
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):

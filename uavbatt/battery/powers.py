@@ -126,7 +126,7 @@ def level_of(powers: Powers, columns: Array, power_W: float) -> float:
 def _shares(powers: Powers, columns: Array) -> tuple[Array, Array]:
     """Return the share of the hover power that the level scales, and the share of drag, which it does not scale.
 
-    Of an aircraft that nobody knows the level is the hover itself, and scales all.
+    For an unknown aircraft the level is its hover power, which scales all terms.
     """
     dragged = columns[..., TERMS.index("drag")] * (powers.drag if powers.flights else 0.0)
     return np.asarray(1.0 + columns @ powers.shares - dragged), np.asarray(dragged)

@@ -1,8 +1,8 @@
 """The size of a pack (cells, capacity, cut-off, warning): the caller, the vehicle, the voltage and the battery file
 state it, in this order. Every command and the live process go by this one rule.
 
-Who tells nonsense (`limits`) is not believed: a vehicle's number is left out with a notice and the next in the order is
-asked; the caller means what he says, so that there is no number for him but the reason.
+An impossible statement (`limits`) is not used. If it is the vehicle's, a notice says so, and the next source in the
+order counts. If it is the caller's, there is no number, but the reason.
 """
 
 from __future__ import annotations
@@ -110,9 +110,9 @@ def size_of_pack(
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; seen : the voltages [V]
-    that the statements are held against; rested_V : of the pack before its first load [V], if the cells are to be told
-    by it from ordinary ones (`high_voltage`). Raises UsageError when nobody states the capacity.
+    guessed_cells, guessed_from : the count that fits the voltage, and its source in words; seen : the voltages [V] that
+    the statements are compared with; rested_V : voltage of the pack before its first load [V], if it is to show the
+    kind of the cells (`high_voltage`). Raises UsageError when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)

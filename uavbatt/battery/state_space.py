@@ -122,8 +122,8 @@ def bias_variance(pack: Pack, dt_s: Number) -> Number:
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     """Return the variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
 
-    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another,
-    as far as it changes at all.
+    The error of the file's open-circuit voltage depends on the charge: over a change of the charge by DOUBT_LENGTH the
+    part of it that changes at all becomes independent.
     """
     return drift_variance(at_charge(pack.ocv_drift_sd_V, soc), drained)
 

@@ -244,7 +244,7 @@ def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
 def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
     """Size the pack of a flight by its first rows and by what the vehicle says (`said`).
 
-    Raises UsageError when there is no voltage, or when what the caller states cannot be by the first rows.
+    Raises UsageError when there is no voltage, or when the first rows contradict what the caller states.
     """
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is None:

@@ -1,11 +1,10 @@
 """From records and a battery file to a verdict: is an effect missing, which, how large, how sure.
 
-Everything is decided in one unit, the chi-square of records left out against the whitened error of the battery's own
-model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
-and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
-the file at its most probable value; then, or when a value differs from record to record or drifts within them, the
-verdict is `undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same
-throughout.
+Everything is decided in one unit: the chi-square of left-out records against the whitened error of the battery's own
+model, with allowance for errors that the file states (`worth`). The start of charge is settled first; then single
+effects and pairs are searched. The result is doubted if it leaves more than the file's own model does, also with every
+error of the file at its most probable value. Then, or if a value differs between records or drifts within them, the
+verdict is `undeclared_effect` and the effect is a suspect: it enters the model only if it is the same throughout.
 """
 
 from __future__ import annotations
@@ -101,8 +100,8 @@ def diagnose(
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` takes two thirds of the time); wear_sd : how well the fade and the growth that `pack` has are
-    known, where it was met before. Raises NotEnoughData with the reason.
+    (`compiled.engine()` takes two thirds of the time); wear_sd : sd of the fade and of the growth of `pack`, if the
+    ledger knows the pack. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
@@ -191,7 +190,7 @@ class LeftPerNumber(NamedTuple):
 def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
     """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
-    What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
+    The prior of those errors counts with the voltage: an error of six standard errors explains nothing.
     """
     problem = replace(problem, nuisances=problem.stated)
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
@@ -213,8 +212,8 @@ def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
 def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
     """Return the voltage residual under load as a multiple of the error that the model is expected to have there.
 
-    Chi-square per number hardly sees what lasts for a whole flight, which is one error to it. A file that has not
-    learned where its error is large states one for all.
+    In the chi-square per number an error that lasts for a whole flight counts as a single error, and is hardly seen. A
+    file without a learned wander has one error for all charges.
     """
     if file.discrepancy.wander is None:
         return residual.size_V(after) / floor_V(file, problem)

@@ -1,7 +1,7 @@
 """Flights and bench tests, made ready to be held against the model.
 
-What the best model of a battery leaves is no white noise: it wanders for a minute or more, most at both ends of the
-charge. So the misfit of a record is judged by the covariance
+The residual of the best model of a battery is no white noise: it stays alike for a minute or more, and is largest at
+both ends of the charge. So the misfit of a record is judged by the covariance
 
     K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)² + (charge error · dOCV/dsoc)²
 
@@ -194,14 +194,15 @@ def _wander(file: BatteryFile, cells: float) -> Wander:
 
 
 def _content(record: Observed) -> tuple[float, ...]:
-    """Order that depends on what was measured, not on names: sums of the columns."""
+    """Return a sort key that depends on the measurements, not on the names: sums of the columns."""
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
 
 def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Start of charge, its sd, and whether a rested record was clearly not full.
+    """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
-    Rested near full is full; rested lower is what the voltage says; under load a guess.
+    A pack that rests near full counts as full. If it rests lower, the voltage shows its charge. Under load the start is
+    a guess.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 0.05)
@@ -214,8 +215,8 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
 def noise_V(record: Observed, ohm: float) -> float:
     """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
 
-    From second differences of the voltage that the load's drop has been added to: what the load does to both cancels,
-    what one sensor says and the other does not is left, and that is what the model cannot follow.
+    It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
+    and noise of one sensor alone is left, which the model cannot follow.
     """
     spacing_s = float(np.median(np.diff(record.time_s)))
     if spacing_s > FAST_ROW_S:
@@ -246,8 +247,8 @@ def _voltage_whitener(
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
     """Return the error of the voltage [V] at each charge of the table that an error of the capacity causes.
 
-    Where a pack runs empty a hundredth of its capacity is half a volt: a flight that goes deeper than those which the
-    wander was learned on would bend everything else to meet it.
+    Near empty a hundredth of the capacity changes the voltage by half a volt. Without this error, a flight that goes
+    deeper than those the wander was learned on would distort all other values.
     """
     soc, ocv_V = ocv_soc
     out: Array = capacity_sd(file) * (1.0 - soc) * cells * np.gradient(ocv_V, soc)

@@ -55,8 +55,8 @@ def search(
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """Search for the missing effect, or two; return the best model, what was found and the trial of single effects.
 
-    What was found comes with most evidence first. explains : says of a model if it leaves no more than the
-    file's own; then no pair is built on a suspect.
+    The found effects come in order of evidence. explains : returns True if a model leaves no more than the file's own;
+    then no pair is built on a suspect.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)

@@ -142,8 +142,8 @@ def _filtered(pack: Pack, rows: list[FilteredRow], last: Filtered) -> list[Filte
 def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
     """Return the means and standard deviations that an estimate shows of a belief.
 
-    empty_soc_sd : what is not known of the charge that a make leaves in its cells, as a share of what was drawn. The
-    filter counts down to the empty of the battery file, which no voltage tells from that of the pack.
+    empty_soc_sd : uncertainty of the charge that a make leaves in its cells, as a share of the charge drawn. The filter
+    counts down to the empty of the battery file; no voltage shows how far that of the pack differs from it.
     """
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)

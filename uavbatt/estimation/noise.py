@@ -125,8 +125,8 @@ def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float,
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
     """Return the variances of the process noise Q for a step of `dt_s` [s], [9] or [9, members] as `mean` is.
 
-    mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap nothing says that the load
-    went on, which counts as well.
+    mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap it is not known if the load
+    went on; this uncertainty is included.
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(mean.shape)

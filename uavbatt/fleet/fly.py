@@ -87,7 +87,7 @@ def _reason(error: UavbattError, log: LogFile) -> str:
 def read(log: LogFile, job: Job) -> Flight:
     """Read the flight of a log, as the job asks for it.
 
-    Raises BadInput when it is none, Unreadable without its bytes.
+    Raises BadInput if it is no log, Unreadable if its bytes cannot be read.
     """
     name, data = as_log(log.name, log.read())
     return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)

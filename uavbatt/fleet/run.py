@@ -157,7 +157,7 @@ def _worked_off(
 ) -> Iterator[FinishedLog]:
     """Work off the errands of all logs without a row in the journal.
 
-    errand : of the log of a number, where a worker does about so many.
+    errand : makes the errand of the log with a number, for a worker that does about so many of them.
     """
     yield FinishedLog(None, len(done), len(keys), done.dropped)
     to_do = [number for number in range(len(keys)) if number not in done]

@@ -1,4 +1,4 @@
-"""Which batteries carry the flight: those that gave its energy, or have the load now. One of them speaks for the
+"""The batteries that carry the flight: those that gave its energy, or have the load now. One of them speaks for the
 vehicle.
 
 A camera's pack lasts for hours after the motors' pack is empty. So if the motors' pack falls silent, loses its current

@@ -61,7 +61,7 @@ class Peer(NamedTuple):
 class UdpLink:
     """UdpLink carries datagrams: `udpin` learns its peers from what they send, `udpout` has one.
 
-    Raises UsageError for a host that nobody knows and a local address that is taken.
+    Raises UsageError for an unknown host, and for a local address that is taken.
     """
 
     is_stream, problem = False, ""
@@ -224,7 +224,7 @@ def _speed(at: Endpoint) -> int:
 def _serial(at: Endpoint) -> int:
     """Open a raw, non-blocking serial line. Raises OSError if there is none, or if another program reads it.
 
-    Of two readers each would get a part of every frame.
+    Two readers would each get a part of every frame.
     """
     import fcntl
     import termios

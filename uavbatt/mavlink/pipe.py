@@ -1,8 +1,8 @@
 """Open descriptors: a stream with its bytes that wait to be sent, and how a loop waits.
 
-A stream may be slower than what is sent on it: a radio of 1200 baud, a modem in the shade of a hill. What waits there
-is late, and nobody at the other end can see that: a time left that was true a minute ago looks as if it were of now.
-So telemetry is lost, not kept, while a stream is behind; what is sent once (`framing.SENT_ONCE`) waits.
+A stream may be slower than what is sent on it: a radio of 1200 baud, a modem behind a hill. What waits there is late,
+and the other end cannot see that: a time left of a minute ago looks like a new one. So telemetry is lost, not kept,
+while a stream is behind; what is sent once (`framing.SENT_ONCE`) waits.
 
 Waiting for a descriptor is `poll`: `select` raises for one above 1023, which any process may reach whose limit is
 higher.

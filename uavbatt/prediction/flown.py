@@ -48,7 +48,7 @@ class Flown(NamedTuple):
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
 
-        is_aloft : what its place or the autopilot says of being in the air (`Navigation.is_aloft`).
+        is_aloft : True in the air by position or by the autopilot, None if not known (`Navigation.is_aloft`).
         """
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
         now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
@@ -77,8 +77,8 @@ class Flown(NamedTuple):
     def _with_flag(self, sample: Sample) -> Flown:
         """Return the past with the row's armed flag.
 
-        An arming begins a flight, for the load before it was a payload's, unless the load carries the aircraft: then
-        the flag was wrong for a moment (one damaged heartbeat).
+        Arming begins a flight, because the load before it was that of a payload. If the load already carries the
+        aircraft, the flag was wrong for a moment (one damaged heartbeat).
         """
         if sample.armed is None or sample.armed is self.armed:
             return self
@@ -111,7 +111,8 @@ class Flown(NamedTuple):
     def _spooled_up(self, power_W: float, times: float) -> Flown:
         """Begin the flight at this row if its power is far above all power before it, which was spool-up or waiting.
 
-        The mean alone would be exceeded by every burst of a motor that runs by turns.
+        The power is compared with all powers before it, not with their mean, which every burst of a motor that runs at
+        intervals exceeds.
         """
         before_W = max((self.mean_W, *self.load.flown.pieces_W[:-NEW_PIECES]))
         if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):

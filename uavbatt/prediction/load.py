@@ -148,7 +148,7 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
 def flown_again(scenarios: Scenarios, flown: PowersFlown) -> Scenarios:
     """Return the scenarios with the ups and downs of the flight so far, each from another place of it on.
 
-    What a flight has not shown in its first SHOWN_S is there as swings, less and less.
+    In the first SHOWN_S of a flight, swings stand for what it has not shown yet; they become less and less.
     """
     again = flown.again(stretches_s(scenarios.dt_s), scenarios.power_W.shape[1])
     power_W = np.maximum(scenarios.power_W * again, LOWEST_POWER_W)

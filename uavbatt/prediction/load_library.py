@@ -214,8 +214,8 @@ class UnknownAircraft:
     def typical_W(self, now: Now) -> float:
         """Return the mean power of the flight so far [W], unless its last minute shows another; at least 1 W.
 
-        The minutes of a flight differ by chance, those of one whose motor runs by turns by much. A minute of far more
-        than that is another load; one of less may be a descent.
+        The minutes of a flight differ by chance, and by much if its motor runs at intervals. A minute far above that is
+        another load; a minute below it may be a descent.
         """
         by_chance = now.recent.flown.minute_sd
         away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W)

@@ -121,7 +121,7 @@ def above_cutoff_V(draws: FlyingDraws, at: Source, power_W: Array) -> Array:
 def _under(draws: FlyingDraws, at: Source, power_W: Array) -> UnderLoad:
     """Return the load of the cells under a power.
 
-    A pack far beyond empty, whose voltage has turned round, gives nothing: it must not be charged by the way.
+    A pack far beyond empty, with a reversed voltage, gives nothing: the simulation must not charge it.
     """
     installation = draws.installation
     size = installation.cells * installation.present_capacity_Ah

@@ -1,8 +1,8 @@
 """The powers that a flight has asked so far, in pieces of seconds: what it may ask again.
 
-A motor that runs by turns (a glider's, a racer's, the lift of a VTOL, hops from field to field) asks several times its
-mean for some seconds, and the end comes then. No normal law around the mean says so; the flight itself does. So the
-power to come is the flight flown again, each scenario from another place of it on.
+A motor that runs at intervals (glider, racer, lift of a VTOL, hops from field to field) draws several times its mean
+power for some seconds, and the flight ends in such seconds. A normal distribution around the mean does not show this;
+the flight itself does. So the power to come is that of this flight flown again, each scenario from another place in it.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ class Flying(NamedTuple):
 def fly_ways(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
-    The draws fly on once: through the instants of turning to the last touchdown.
+    The draws are simulated once, through all instants of turning, up to the last touchdown.
     """
     asked = RouteAsked(known.name, _reason(known), None, None, None)
     scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws

@@ -1,6 +1,6 @@
 """The legs of one mission item: a return, a landing and turns have several, but the autopilot reports only the item.
 
-The position shows which leg is flown; on a circle, or without a position, the clock does.
+The position shows which leg is flown; on a circle, or without a position, the clock decides.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def is_there(leg: Leg, here: Point) -> bool:
 def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, waited_s: float) -> bool:
     """Return True if a leg that is no circle is over and the next one of its item is flown.
 
-    waited_s : since the aircraft is at the leg's end; NaN where it is not
+    waited_s : time so far at the leg's end [s]; NaN if the aircraft is not there
     """
     if leg.phase is Phase.LANDING:
         return here.height_m <= leg.end.height_m + DOWN_M

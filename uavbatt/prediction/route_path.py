@@ -1,7 +1,7 @@
 """The way of a mission as legs in metres around home, and the way home from any point.
 
-A leg ends at a point and may wait there. Its time at the planned speeds is the longest of what its run asks at the
-ground speed and its rise at the climb or descent rate. What is not understood gives no legs but a reason.
+A leg ends at a point and may wait there. Its time at the planned speeds is the longer of two: its run at the ground
+speed, and its rise at the climb or descent rate. A mission that is not understood gives a reason instead of legs.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _speeds(settings: ReturnSettings) -> _Speeds:
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included.
 
-    Where it is not known the path has no legs but a reason.
+    If it is not known, the path has a reason instead of legs.
     """
     if mission.reason:
         return Path(reason=mission.reason)

@@ -1,4 +1,4 @@
-"""Draws of what is uncertain: the same fixed normals at every forecast, which moves only when the belief does.
+"""Draws of all uncertain quantities from the same fixed normals, so that a forecast moves only when the belief does.
 
 The end of a flight can be bimodal (a surge grazes the cut-off or does not), which a mean and a variance cannot say:
 so each draw flies to its own end and the quantiles are those of the ends. The normals come in antithetic pairs and
@@ -37,8 +37,8 @@ def normals() -> Array:
 def wander(steps: int, by_rows: bool = False) -> Normals:
     """Return standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
 
-    Beyond LONGEST steps they come again from the first on. A forecast with fewer holds fewer in memory: in flight 256
-    do for an hour.
+    Beyond LONGEST steps they repeat. A forecast with fewer steps keeps fewer in memory: 256 are enough for an hour of
+    flight.
     """
     return Normals(_kept(0, steps), _kept(1, steps) if by_rows else np.empty((0, DRAWS)))
 

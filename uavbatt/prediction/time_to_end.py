@@ -4,10 +4,10 @@ Constant power within a step, not constant current: a sinking voltage draws more
 pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
 
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
-half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; where telemetry rows are slower than
-that, the steps are the rows, and the centred median of three of them, with their noise, judges. A charge below the
-reserve ends a flight as well. The discrepancy walks on from where it is: nothing says that the voltage which a pack
-misses now will come back before the end, so it does not decay to zero as it does in the filter.
+half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; if telemetry rows are slower than
+that, the steps are the rows, and the centred median of three of them, with their noise, decides. A charge below the
+reserve ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
+value: nothing shows that a voltage which a pack lacks now will come back before the end.
 
 `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
 """
@@ -182,7 +182,7 @@ def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Ar
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
     """Return the first fall of each column [steps, columns] through zero, linear between steps at `at_s`, plus the lag.
 
-    There is a step below zero in each.
+    Each column must have a step below zero.
     """
     first, column = np.argmax(margin < 0.0, axis=0), np.arange(margin.shape[1])
     last = np.maximum(first - 1, 0)

@@ -1,9 +1,9 @@
 """The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
 
-Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
-voltage's least height above the cut-off on that way home is noted, in each step under the highest power of gusts; a
-charge near the reserve counts as such a height, for it ends a flight as well. A draw's turn-back is the last t at which
-it has not met its end before and that height is not negative.
+Each draw (battery, power level, wind) flies on, turns at some instants t, and flies home as its autopilot does. On the
+way home the smallest distance of the voltage above the cut-off is noted, in each step under the highest power of gusts.
+The distance of the charge from a reserve counts in the same way, because a reserve ends a flight too. A draw's turn-
+back is the last t before its end at which that distance is not negative.
 """
 
 from __future__ import annotations
@@ -126,7 +126,8 @@ def _fly_home(
 def _is_asked(least_V: Array) -> Column:
     """Return True for each turn [turns] that is simulated on: the first for its charge, others while a draw comes home.
 
-    No draw comes home from the others, nor from the turn before: no crossing lies there (`last_crossing`).
+    From the other turns, and from the turn before each of them, no draw comes home, so that no crossing lies there
+    (`last_crossing`).
     """
     comes_home = np.asarray((least_V >= 0.0).any(axis=1))
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))

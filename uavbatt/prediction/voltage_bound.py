@@ -108,7 +108,7 @@ class Fall(NamedTuple):
     def _of_one_kind(self) -> tuple[FallBin, ...]:
         """Return the bins with a current, if the last one has it; else all bins, without current and lag.
 
-        A current of nothing in every bin leaves the fit no sag.
+        With a current of 0 in every bin the fit has no sag.
         """
         if self.bins[-1].is_metered:
             return tuple(row for row in self.bins if row.is_metered)

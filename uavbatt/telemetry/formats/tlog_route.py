@@ -92,7 +92,7 @@ class TlogClock(NamedTuple):
     def times_s(self, frames: FrameTable) -> list[float]:
         """Return the times of other frames [s].
 
-        They are counted on from the clock's frame before each, by their stamps if they can be.
+        Each counts from the clock's frame before it, by the stamps if these are sound.
         """
         if not len(self.start):
             return [0.0] * len(frames.start)
