@@ -4,7 +4,7 @@
 
 Flies small, worn, part-charged and mis-stated packs through the estimator, with the generic battery and with one fitted
 to healthy packs of the make, and the faults of sensors, swaps and statements through the companion process. Reports,
-does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for the README.
+does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for docs/wrong_packs.md.
 """
 
 from __future__ import annotations
