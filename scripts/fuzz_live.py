@@ -24,7 +24,7 @@ from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
-from uavbatt.telemetry.live import LiveRow
+from uavbatt.telemetry.vehicle import LiveRow, Vehicle
 
 CURRENT_A, VOLTAGE_V = 12.0, 16.0
 A_TURN = 50
@@ -84,12 +84,12 @@ def main() -> int:
     daemon, rewriter, slipped, forged, rows = bench.daemon, Rewriter(soc=True), [], [], 0
     step = daemon._step
 
-    def watched(row: LiveRow, now_s: float) -> None:
+    def watched(row: LiveRow, vehicle: Vehicle, now_s: float) -> None:
         nonlocal rows
         rows += 1
         if not is_sound(row.sample):
             slipped.append(row)
-        step(row, now_s)
+        step(row, vehicle, now_s)
         estimate = daemon.batteries.reports[row.instance].estimate
         if row.instance > 1 or not (estimate.voltage_V != estimate.voltage_V or is_sound(row.sample)):
             forged.append(estimate)

@@ -11,10 +11,13 @@ from xml.etree import ElementTree
 
 import pytest
 from command import called
+from packs.made import flight as recorded
 
 import uavbatt
 from uavbatt.battery import battery_file
 from uavbatt.dataset import load
+from uavbatt.log_replay import whole
+from uavbatt.packs.ledger import Ledger
 
 ROUTE = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t420\t1
@@ -126,6 +129,16 @@ def test_a_mission_file_and_the_pack_ledger_are_taken_as_by_the_command(tmp_path
     assert called("replay", log, *options, folder=tmp_path).returncode == 0
     said = json.loads((tmp_path / "s.json").read_text())
     assert said["pack_flights"] == 1 and 0.5 < said["route_share"] <= 1.0 and said["pack"] == "P1"
+
+
+def test_a_pack_of_another_size_is_refused_before_the_replay(
+    short_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(whole, "steps", lambda *_: pytest.fail("the replay has begun"))
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save("P1", replace(recorded(0), cells=6))
+    with pytest.raises(uavbatt.BadInput, match="pack P1: expected flights of 6 cells as before, found 4"):
+        uavbatt.replay(short_log, packs=tmp_path / "packs.sqlite", pack="P1")
 
 
 def test_an_estimator_names_them_too() -> None:

@@ -47,6 +47,10 @@ class UsageError(UavbattError):
     exit_code = 2
 
 
+class CapacityNotStated(UsageError):
+    """Neither the caller nor the vehicle nor the battery file states the capacity of the pack."""
+
+
 def check_path(argument: str, value: object, expected: str = "the path of a file") -> None:
     """Raise UsageError, with the argument's name, for a value that names no file."""
     if not isinstance(value, str | PathLike):

@@ -34,7 +34,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.filter import BeliefSummary, Filtered, SocFilter, estimate_of, unknown
+from uavbatt.estimation.filter import NO_VOLTAGE, BeliefSummary, Filtered, SocFilter, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -251,7 +251,7 @@ class Estimator:
     def _why_not_begin(self, sample: Sample) -> Estimate | None:
         """Return the refused estimate of a row at which no filter may begin; None if one may."""
         if not math.isfinite(sample.voltage_V):
-            return unknown(sample, "no voltage in this row")
+            return unknown(sample, NO_VOLTAGE)
         if self._known.refusal:  # these voltages cannot be those of the pack that is stated
             return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
         return None

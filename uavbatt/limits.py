@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 from uavbatt.errors import UsageError
+from uavbatt.notice import Kind, Notice
 
 MOST_CELLS = 100
 LOWEST_CELL_V, HIGHEST_CELL_V = 2.5, 4.45  # before the load, for every chemistry that flies
@@ -43,7 +44,7 @@ POWER_FACTOR = 2.0  # beyond this factor it is another aircraft
 class Doubt(NamedTuple):
     """A Doubt says in words what speaks against a statement, and if that is certain."""
 
-    words: str
+    words: Notice
     is_certain: bool
 
 
@@ -85,18 +86,19 @@ def cells_doubt(
     first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
         words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
-        return Doubt(f"{_count(cells)}: {words}", True)
+        return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.empty_V:
         words = f"{seen.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {_expected_cells(seen, resting.empty_V)}"
-        return Doubt(f"{_count(cells)}: {words}", True)
+        return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.low_V:
         words = f"{_count(cells)} at {rested_V:.1f} V a cell at rest"
         if drawn_Ah > EMPTY_OVERDRAWN * capacity_Ah:
             drawn = f"{EMPTY_OVERDRAWN:g} times the stated {capacity_Ah:g} Ah were drawn since"
-            return Doubt(f"{words}, and {drawn}: another count", True)
-        return Doubt(f"{words}: nearly empty, or another count", False)
+            return Doubt(Notice(f"{words}, and {drawn}: another count", Kind.CELLS), True)
+        return Doubt(Notice(f"{words}: nearly empty, or another count", Kind.NEARLY_EMPTY), False)
     if first_V > FULLEST_CELL_V:
-        return Doubt(f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count", False)
+        words = f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count"
+        return Doubt(Notice(words, Kind.TOO_FULL), False)
     return None
 
 
@@ -132,20 +134,24 @@ def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_ra
     return likely
 
 
-def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:
+def ending_doubt(
+    what: str, volts: float, cells: int, rested_V: float = math.nan, kind: Kind = Kind.OTHER
+) -> Doubt | None:
     """Return the doubt about a cut-off or warning voltage [V of the pack] by its volts per cell; None if usual or NaN.
 
-    what : the words before the number; rested_V : the voltage that the pack shows at rest [V], NaN while unknown.
+    what : the words before the number; rested_V : the voltage that the pack shows at rest [V], NaN while unknown;
+    kind : of the doubt's notice.
     """
     cell_V, (lowest_V, highest_V) = volts / cells, ENDING_CELL_V
     said = f"{what}{volts:g} V is {cell_V:.3g} V a cell of {cells}"
     if not math.isnan(volts) and not lowest_V <= cell_V <= highest_V:
-        return Doubt(f"{said}, expected {lowest_V:g} to {highest_V:g} V{_slip(volts, cells)}", True)
+        words = f"{said}, expected {lowest_V:g} to {highest_V:g} V{_slip(volts, cells)}"
+        return Doubt(Notice(words, kind), True)
     lowest_V, highest_V = USUAL_ENDING_CELL_V
     if cell_V > highest_V and volts > rested_V:
-        return Doubt(f"{said}, above the {rested_V:.2f} V that the pack has at rest", True)
+        return Doubt(Notice(f"{said}, above the {rested_V:.2f} V that the pack has at rest", kind), True)
     if cell_V < lowest_V or cell_V > highest_V:
-        return Doubt(f"{said}, usual are {lowest_V:g} to {highest_V:g} V", False)
+        return Doubt(Notice(f"{said}, usual are {lowest_V:g} to {highest_V:g} V", kind), False)
     return None
 
 
@@ -155,7 +161,8 @@ def capacity_doubt(capacity_Ah: float) -> Doubt | None:
     if math.isnan(capacity_Ah) or lowest_Ah <= capacity_Ah <= highest_Ah:
         return None
     slip = " (mAh?)" if capacity_Ah > highest_Ah else ""
-    return Doubt(f"{capacity_Ah:g} Ah, expected {lowest_Ah:g} to {highest_Ah:g} Ah{slip}", True)
+    words = f"{capacity_Ah:g} Ah, expected {lowest_Ah:g} to {highest_Ah:g} Ah{slip}"
+    return Doubt(Notice(words, Kind.CAPACITY), True)
 
 
 def rate_doubt(what: str, c_rate: float) -> Doubt | None:
@@ -167,7 +174,8 @@ def rate_doubt(what: str, c_rate: float) -> Doubt | None:
         return None
     is_certain = c_rate > C_RATE[1]
     shown = f"{c_rate:.0f}" if c_rate < 1e6 else f"{c_rate:.0e}"
-    return Doubt(f"{what} {shown} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
+    words = f"{what} {shown} C: a pack gives less than {C_RATE[1]:g} C for a minute"
+    return Doubt(Notice(words, Kind.CAPACITY), is_certain)
 
 
 def check_stated(

@@ -86,7 +86,8 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
         if digits is not None
     }
     said = speaker(estimate, remaining)
-    made["status"], made["reason"], made["warnings"] = said.status.value, said.reason, list(estimate.warnings)
+    made["status"], made["reason"] = said.status.value, str(said.reason)
+    made["warnings"] = [str(warning) for warning in estimate.warnings]  # msgspec encodes no subclass of str
     return made if remaining.route is None else made | _route(remaining.route)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 import math
+import pickle
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,21 +14,27 @@ from daemon_bench import OPTIONS, Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import statements
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.battery_file import read_battery
+from uavbatt.battery.sizing import PackOptions, size_of_pack
+from uavbatt.estimation import filter as soc_filter
 from uavbatt.estimation import monitor
-from uavbatt.estimation.filter import known_only_to
+from uavbatt.estimation.filter import NO_CURRENT, known_only_to
+from uavbatt.limits import Doubt, Resting, Seen, cells_doubt, ending_doubt
 from uavbatt.live import announced
 from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection
 from uavbatt.live.report import Report
+from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.live.web import content
+from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.prediction import forecaster, voltage_bound
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import ENDS_SOON
-from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
-MADE_UP = "the moon pulls at the pack"
+TWO_SENDERS = Notice("two senders speak for this battery", Kind.TWO_SENDERS)
+SILENT = Notice("no telemetry for 4 s", Kind.NO_TELEMETRY)
 
 
 def texts(bench: Bench) -> list[str]:
@@ -87,8 +94,9 @@ def test_the_end_of_a_flight_is_no_loss() -> None:
 
 def test_every_reason_fits_into_a_text() -> None:
     """The longest number of a battery, the longest reason."""
-    longer = (f"{words}, and why it is so" for words in announced.REASONS)
-    for reason in (*longer, "a reason that nobody has shortened: it goes on and on and on"):
+    lost = [kind for kind in announced.REASONS if kind not in (Kind.NOT_FLYING, Kind.JUST_TAKEN_OFF)]
+    known = (Notice("why it is so", kind) for kind in lost)
+    for reason in (*known, "a reason that nobody has shortened: it goes on and on and on"):
         for status in (Status.REFUSED, Status.STALE):
             announcer = Announcer(255, ())
             announcer.texts(0.0, report(100.0, instance=255))
@@ -102,54 +110,72 @@ def test_every_reason_fits_into_a_text() -> None:
         assert len(f"Battery 255: {short}") <= 50
 
 
+CAPACITY_AH, MEASURED = 5.0, Seen(16.0, 16.0)
+
+
+def notices_of(module: ModuleType) -> list[Notice]:
+    return [value for value in vars(module).values() if isinstance(value, Notice)]
+
+
+def doubted(doubt: Doubt | None) -> Notice:
+    assert doubt is not None
+    return doubt.words
+
+
 REFUSALS = [
-    *(words for name, words in vars(monitor).items() if name.isupper() and isinstance(words, str)),
-    forecaster.NOT_FLYING,
-    forecaster.JUST_TAKEN_OFF,
-    "no belief about the pack yet",
-    "the end may lie beyond six hours: the load is not that of a flight",
+    *notices_of(monitor),
+    *notices_of(soc_filter),
+    *notices_of(forecaster),
     voltage_bound.NO_END,
     statements.SLOW_ROWS.words,
     statements.CHARGING.words,
     known_only_to(0.3),
     known_only_to(2.0),
-    "time went backwards",
-    "no voltage in this row",
-    "no current in this row",
-    "two senders speak for this battery: voltage (10.0.0.1:14550 and 10.0.0.2:14550)",
-    "ValueError in uavbatt itself: the sky has fallen on our heads and so on",
-    "capacity: neither the vehicle nor battery `lipo-generic` states one: give --capacity-ah",
-    "12 cells in series: 16.0 V is 1.3 V a cell, expected 2.5 to 4.45 V before the load, as with 4",
-    "6 cells in series at 3.4 V a cell at rest, and 0.3 times the stated 5 Ah were drawn since: another count",
-    "the stated 5 Ah gives more than 60 C for a minute: is the capacity right?",
-    "1.5 times the stated 3.3 Ah were drawn, and the cells are far from empty: is the capacity right?",
-    "cut-off 3.3 V is 0.8 V a cell of 4, expected 2 to 4.2 V",
-    "low-voltage warning 25 V is 6.2 V a cell of 4, expected 2 to 4.2 V",
-    "no telemetry for 4 s",
-    "the telemetry comes late: 14 s, by the vehicle's own clock",
+    doubted(cells_doubt(12, MEASURED, Resting())),
+    doubted(cells_doubt(5, MEASURED, Resting(), drawn_Ah=2.0, capacity_Ah=CAPACITY_AH)),
+    doubted(ending_doubt("cut-off ", 3.3, 4, kind=Kind.CUTOFF)),
+    doubted(ending_doubt("low-voltage warning at ", 25.0, 4, kind=Kind.LOW_VOLTAGE)),
 ]
 
 
 @pytest.mark.parametrize("reason", REFUSALS)
-def test_every_refusal_has_words_of_its_own(reason: str) -> None:
-    assert announced._short(reason) in announced.REASONS.values(), reason
+def test_every_refusal_has_words_of_its_own(reason: Notice) -> None:
+    assert reason.kind in announced.REASONS, reason
 
 
-def test_the_refusals_of_the_test_are_those_of_the_code() -> None:
-    """The forecaster's two that have no name."""
-    source = inspect.getsource(forecaster)
-    assert all(f'"{words}"' in source for words in REFUSALS if words.startswith(("no belief", "the end may")))
+def test_a_refusal_without_a_size_a_fault_and_a_silent_link_have_their_kinds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tracked = TrackedBattery(read_battery("lipo-generic"), PackOptions(), ForecastSettings())
+    sample = Sample(0.0, 16.0, 1.0, 25.0)
+    assert kind_of(tracked.step(sample, PackFacts())[1].reason) is Kind.CAPACITY_NOT_STATED
+    monkeypatch.setattr(tracked.estimator, "step", lambda *_: 1 / 0)
+    assert kind_of(tracked.step(sample, PackFacts())[1].reason) is Kind.FAULT
+    assert kind_of(report(400.0).at(4.0).reason) is Kind.NO_TELEMETRY
+    assert kind_of(report(400.0).late_by(14.0).at(1.0).reason) is Kind.LATE
 
 
-def test_the_voltage_that_nears_its_cutoff_is_no_wrong_cutoff() -> None:
-    """Both sentences hold the word; only one of them begins with it."""
-    for warning, words in (
-        (ENDS_SOON, "voltage nears its cut-off: land"),
-        ("cut-off 3.3 V is 0.8 V a cell of 4, expected 2 to 4.2 V", "cut-off does not fit the pack"),
-    ):
-        warned = report(100.0)
-        warned = replace(warned, estimate=replace(warned.estimate, warnings=(warning,)))
-        assert [text for _, text in Announcer(0, ()).texts(0.0, warned, True)] == [f"Battery 0: {words}"]
+def test_a_notice_keeps_its_kind_in_another_process() -> None:
+    """The rows of a fleet are worked out in workers."""
+    sent = pickle.loads(pickle.dumps((ENDS_SOON, ENDS_SOON.kind)))
+    assert sent == (ENDS_SOON, Kind.ENDS_SOON) and kind_of(sent[0]) is Kind.ENDS_SOON
+
+
+@pytest.mark.parametrize("words", ["no current sensor: current worked out from the stated power", "cut-off"])
+def test_the_words_of_a_warning_decide_nothing(words: str) -> None:
+    """A power that the crew states was once announced as "capacity does not fit": both sentences hold "the stated"."""
+    warned = report(100.0, warnings=(words,))
+    assert Announcer(0, ()).texts(0.0, warned, True) == []
+
+
+def test_cells_of_the_vehicle_that_are_not_used_are_one_text() -> None:
+    """The sentence holds the doubt about the count as well, which is announced only where it is a doubt of its own."""
+    options = PackOptions(capacity_Ah=CAPACITY_AH)
+    size = size_of_pack(read_battery("lipo-generic"), options, PackFacts(cells_series=12), 4, seen=MEASURED)
+    warned = report(100.0, warnings=size.notices)
+    assert [text for _, text in Announcer(0, ()).texts(0.0, warned, True)] == [
+        "Battery 0: cells of the vehicle not used"
+    ]
 
 
 def test_without_a_current_the_voltage_says_that_the_end_is_near() -> None:
@@ -195,7 +221,7 @@ def flight(announcer: Announcer, *parts: tuple[int, bool, str], airborne_s: floa
 def test_a_take_off_is_no_loss_and_a_dead_sensor_is_said_in_the_air(ground_s: int) -> None:
     ground = ((ground_s, False, forecaster.NOT_FLYING), (30, True, forecaster.NOT_FLYING))
     assert flight(Announcer(0, ()), *ground, (3, True, forecaster.JUST_TAKEN_OFF), (30, True, "")) == []
-    said = flight(Announcer(0, ()), *ground, (60, True, "no current in this row"))
+    said = flight(Announcer(0, ()), *ground, (60, True, NO_CURRENT))
     assert said == [(ground_s + 50, "Battery 0: time unknown, no current reading")]
 
 
@@ -223,7 +249,7 @@ def test_the_load_that_never_comes_is_said_whenever_the_companion_was_started(st
 
 
 def test_every_flight_has_a_warning_of_its_own() -> None:
-    one = ((10, False, forecaster.NOT_FLYING), (60, True, "no current in this row"))
+    one = ((10, False, forecaster.NOT_FLYING), (60, True, NO_CURRENT))
     assert [k for k, _ in flight(Announcer(0, ()), *one, *one)] == [30, 100]
 
 
@@ -246,7 +272,7 @@ def report(
 
 def said(announcer: Announcer, at_s: float, left_s: float, **what: Any) -> list[str]:
     status = Status.OK if math.isfinite(left_s) else Status.REFUSED
-    return [text for _, text in announcer.texts(at_s, report(left_s, status, "no current", at_s, **what), True)]
+    return [text for _, text in announcer.texts(at_s, report(left_s, status, NO_CURRENT, at_s, **what), True)]
 
 
 def test_no_text_is_lost_because_another_was_said() -> None:
@@ -265,7 +291,7 @@ def test_of_several_batteries_the_first_alone_tells_how_time_runs_out() -> None:
     """The others still say what is wrong with them, and that their time is lost."""
     other, told = Announcer(1, (300.0, 120.0, 60.0)), list[str]()
     for k, left_s in enumerate((400.0, 119.0, 59.0, NAN, NAN, NAN)):
-        shown = report(left_s, Status.OK if k < 3 else Status.REFUSED, "no current", float(k), instance=1)
+        shown = report(left_s, Status.OK if k < 3 else Status.REFUSED, NO_CURRENT, float(k), instance=1)
         told += [text for _, text in other.texts(float(k), shown, True, speaks_first=False)]
     assert told == ["Battery 1: time unknown, no current reading"]
 
@@ -289,7 +315,7 @@ def test_a_second_loss_for_another_reason_waits_ten_seconds_only() -> None:
     announcer = Announcer(0, ())
     heard = []
     for k in range(20):
-        status, why = (Status.REFUSED, "two senders") if k > 5 else (Status.STALE, "no telemetry for 4 s")
+        status, why = (Status.REFUSED, TWO_SENDERS) if k > 5 else (Status.STALE, SILENT)
         is_lost = k in (2, 3) or k > 5
         told = report(NAN if is_lost else 400.0, status if is_lost else Status.OK, why, float(k))
         heard.append(announcer.texts(float(k), told, True))
@@ -305,9 +331,9 @@ def test_a_number_that_comes_and_goes_is_said_once_a_minute() -> None:
 
 
 def test_a_new_warning_is_said_once_an_occurrence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(announced.WARNINGS, MADE_UP, "the moon is full")
+    monkeypatch.setitem(announced.WARNINGS, Kind.OTHER, "the moon is full")
     announcer = Announcer(2, ())
-    warned = (f"{MADE_UP}: by 12 N", "another warning")
+    warned = ("the moon pulls at the pack: by 12 N", "another warning")
     assert said(announcer, 0.0, 400.0, instance=2) == []
     assert said(announcer, 1.0, 400.0, instance=2, warnings=warned) == ["Battery 2: the moon is full"]
     flicker = [said(announcer, 2.0 + k, 400.0, instance=2, warnings=warned if k % 9 == 0 else ()) for k in range(60)]
@@ -316,7 +342,7 @@ def test_a_new_warning_is_said_once_an_occurrence(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_warning_of_the_estimate_reaches_station_and_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(announced.WARNINGS, "no usable pack temperature", "no temperature")
+    monkeypatch.setitem(announced.WARNINGS, Kind.NO_TEMPERATURE, "no temperature")
     bench = Bench(OPTIONS, feed=FeedSection(kinds=("battery", "named")))
     bench.fly(10.0)
     for k in range(50):

@@ -112,7 +112,7 @@ def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str)
     wanted = [s.voltage_V for s in read_log(log).samples if s.time_s <= 60.0]
     seen: list[float] = []
     step = daemon._step
-    daemon._step = lambda row, now_s: (seen.append(row.sample.voltage_V), step(row, now_s))[1]  # type: ignore[method-assign]
+    daemon._step = lambda row, *at: (seen.append(row.sample.voltage_V), step(row, *at))[1]  # type: ignore[method-assign]
     try:
         until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1])
     finally:

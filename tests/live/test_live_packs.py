@@ -59,7 +59,7 @@ def test_a_flight_that_is_resumed_before_the_first_heartbeat_goes_on(ledger: Pat
         bench.daemon.turn()
         settle(bench)
         bench.now_s += 0.5
-    assert bench.daemon._reader.armed is None
+    assert bench.daemon.armed is None
     assert "battery 0: resumed from a state 2 s old" in bench.daemon.board.notes
     assert bench.daemon.board.reports[0].flying_since_s < first.now_s
     bench.daemon.close()

@@ -31,7 +31,7 @@ REFUSAL = "not flying"
 
 def step(time_s: float, **changed: object) -> ReplayedRow:
     """One ordinary row, changed as asked; `refused` refuses the forecast with its value as the reason."""
-    reason = str(changed.pop("refused", ""))
+    reason = changed.pop("refused", "")
     remaining = Remaining(time_s, 500.0 - time_s / 2, 300.0, 700.0, NAN, Status.OK)
     if reason:
         remaining = replace(remaining, status=Status.REFUSED, reason=reason)

@@ -14,6 +14,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, counts_of_cells, resting, size_of_pack
 from uavbatt.battery.statements import PowerRange, Statements
 from uavbatt.limits import Doubt, Resting, Seen
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
 SURE_ROWS = 2  # the first one alone may be damaged
@@ -105,7 +106,7 @@ class KnownSize(NamedTuple):
         if not others:
             return ()
         words = f"nobody states the cells: {size.cells} in series by the first voltage, {others[0]} would fit as well"
-        return (Doubt(words, False),)
+        return (Doubt(Notice(words, Kind.CELLS_NOT_STATED), False),)
 
 
 def nothing_seen(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:

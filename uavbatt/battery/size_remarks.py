@@ -5,6 +5,7 @@ from __future__ import annotations
 from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.limits import Doubt
+from uavbatt.notice import Kind, Notice
 
 SCALED_FAR = 1.5  # a capacity so many times that of the battery file is another pack's
 
@@ -36,7 +37,7 @@ def uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
     """Return in words how a pack of this size goes beyond the certificate; empty when it does not."""
     typed = battery.battery
     if battery.caveat:
-        return battery.caveat
+        return Notice(battery.caveat, Kind.UNCERTIFIED)
     if (cells, capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
         return ""
     return f"the certificate is for a {_size(typed)} pack; this one is scaled from it"

@@ -17,7 +17,7 @@ from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.size_remarks import fuller, likely, scaled_far, uncertified
-from uavbatt.errors import UsageError
+from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
     LOWEST_CELL_V,
@@ -33,6 +33,7 @@ from uavbatt.limits import (
     check_stated,
     ending_doubt,
 )
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
@@ -77,7 +78,7 @@ class PackSize:
     low_from: str
     uncertified: str = ""  # how this pack goes beyond the battery file's certificate
     notices: tuple[str, ...] = ()  # odd values, and statements that were not believed
-    refusal: str = ""  # why there can be no number for it
+    refusal: Notice | None = None  # why there can be no number for it
     fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
 
     @property
@@ -121,13 +122,13 @@ def size_of_pack(
         said = replace(said, critical_voltage_V=NAN)
     why_not = why_no_capacity(battery, given, said)
     if why_not:
-        raise UsageError(why_not)
+        raise CapacityNotStated(why_not)
     said, notices = believed(said, cells, seen)
     capacity_Ah, capacity_from = _capacity(battery, given, said)
     (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
     doubts = [
-        ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
-        ending_doubt("low-voltage warning at ", given.low_V, cells),
+        ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V, Kind.CUTOFF),
+        ending_doubt("low-voltage warning at ", given.low_V, cells, kind=Kind.LOW_VOLTAGE),
     ]
     fullest_V = max(fullest_cell_V(rested_V, cells), given.fullest_cell_V)
     return PackSize(
@@ -149,7 +150,7 @@ def size_of_pack(
             *scaled_far(battery, cells, capacity_Ah),
             *fuller(battery, fullest_V),
         ),
-        refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
+        refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), None),
         fullest_cell_V=fullest_V,
     )
 
@@ -220,10 +221,12 @@ def resting(battery: BatteryFile) -> Resting:
 def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
     """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
     capacity = capacity_doubt(said.capacity_Ah)
-    critical = ending_doubt("critical voltage of the vehicle, ", said.critical_voltage_V, cells, seen.rested_V)
-    low = ending_doubt("low-voltage warning of the vehicle, ", said.low_voltage_V, cells)
+    volts, what = said.critical_voltage_V, "critical voltage of the vehicle, "
+    critical = ending_doubt(what, volts, cells, seen.rested_V, Kind.CRITICAL_VOLTAGE)
+    what = "low-voltage warning of the vehicle, "
+    low = ending_doubt(what, said.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
     if capacity is not None:
-        capacity = Doubt(f"{CAPACITY} {capacity.words}", True)
+        capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
 
     def kept(value: float, doubt: Doubt | None) -> float:
         return NAN if doubt is not None and doubt.is_certain else value
@@ -235,7 +238,7 @@ def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFact
         low_voltage_V=kept(said.low_voltage_V, low),
     )
     doubts = [d for d in (capacity, critical, low) if d is not None]
-    return sound, tuple(d.words + ": not used" if d.is_certain else d.words for d in doubts)
+    return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
 
 
 def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
@@ -274,13 +277,14 @@ def _cells(
             return int(given.cells), by, ()
         stated = f"{given.spelt.cells}{given.cells}"
         notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
-        return int(given.cells), by, (notice,)
+        return int(given.cells), by, (Notice(notice, Kind.CELLS_OF_VEHICLE),)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
     doubt = cells_doubt(said.cells_series, seen, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
-    return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
+    notice = f"the vehicle states {doubt.words}: not used, nor its critical voltage"
+    return int(guess[0]), guess[1], (Notice(notice, Kind.CELLS_OF_VEHICLE),)
 
 
 def _by(name: str) -> str:

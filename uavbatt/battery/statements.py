@@ -27,6 +27,7 @@ from uavbatt.limits import (
     Seen,
     cells_doubt,
 )
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
@@ -43,9 +44,14 @@ OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
-SLOW_ROWS = Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
-CHARGING = Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
-IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", False)
+SLOW_ROWS = Doubt(
+    Notice(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", Kind.SLOW_ROWS), True
+)
+CHARGING = Doubt(
+    Notice("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", Kind.CHARGING),
+    True,
+)
+IN_KELVIN = Doubt(Notice("the temperature reads as if it were in kelvin: not used", Kind.NO_TEMPERATURE), False)
 
 
 class Means(NamedTuple):
@@ -194,9 +200,8 @@ def _strong(load: Means, capacity_Ah: float) -> Doubt:
     """Return the doubt about a capacity for which the load of a minute is too high."""
     is_certain = load.current_A > C_RATE[1] * capacity_Ah
     bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
-    return Doubt(
-        f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?", is_certain
-    )
+    words = f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?"
+    return Doubt(Notice(words, Kind.CAPACITY), is_certain)
 
 
 def _weak(current: Current, capacity_Ah: float) -> Doubt:
@@ -204,7 +209,7 @@ def _weak(current: Current, capacity_Ah: float) -> Doubt:
     is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
     bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
     words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
-    return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+    return Doubt(Notice(f"the stated {capacity_Ah:g} Ah gives {words}", Kind.CAPACITY), is_certain)
 
 
 def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
@@ -212,7 +217,8 @@ def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
     is_certain = current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
     share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
     words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
-    return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
+    words += ": is the capacity right, or does the current read high?"
+    return Doubt(Notice(words, Kind.CAPACITY), is_certain)
 
 
 def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
@@ -221,7 +227,8 @@ def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
         return None
     more = "more than twice" if power_W > high_W else "less than half"
     spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
-    return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
+    words = f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?"
+    return Doubt(Notice(words, Kind.POWER), False)
 
 
 def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:

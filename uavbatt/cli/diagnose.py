@@ -76,15 +76,12 @@ def diagnose(
     """
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
-    from uavbatt.battery.effects import EFFECTS
     from uavbatt.files import write_json
     from uavbatt.telemetry import read_log
 
     check_named(output)
     check_writable(json_file, report, output, reads=[*sources, packs])
-    unknown = [name for name in without or [] if name not in EFFECTS]
-    if unknown:
-        raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
+    _check_effects(without or [])
     content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if follow:
@@ -115,6 +112,15 @@ def diagnose(
         say(f"report: {report}", json_file, report)
     if path is not None:
         say(f"{path}: {new.certificate.status}", json_file, report)
+
+
+def _check_effects(names: list[str]) -> None:
+    """Raise UsageError for a name in `--without` that no effect has."""
+    from uavbatt.battery.effects import EFFECTS
+
+    unknown = next((name for name in names if name not in EFFECTS), None)
+    if unknown is not None:
+        raise UsageError(f"--without {unknown}: expected one of {', '.join(EFFECTS)}")
 
 
 def _run(

@@ -117,20 +117,8 @@ def replay(
     from uavbatt.battery import vehicle_file
     from uavbatt.telemetry.formats.mission_file import read_mission
 
-    several = len(logs) > 1
-    named = Outputs(jsonl, csv, report, png, svg)
-    outputs = [named.in_folders(name) for name in distinct_names(logs)] if several else [named]
-    targets = [summary, *(path for of_one in outputs for path in of_one)]
-    check_named(png, svg)
-    if several:
-        _check_folders(named)
-        check_apart(targets, reads=[*logs, vehicle, mission])
-        for folder in filter(None, named):
-            folder.mkdir(parents=True, exist_ok=True)
-    check_writable(*targets, reads=[*logs, vehicle, mission, packs])
-    for path, option, ending in ((report, "--report", ".html"), (png, "--png", ".png"), (svg, "--svg", ".svg")):
-        check_ending(None if several else path, option, ending)
-    asked = ReplayOptions(
+    outputs = _checked_outputs(logs, Outputs(jsonl, csv, report, png, svg), summary, [vehicle, mission, packs])
+    options = ReplayOptions(
         battery=read_battery(battery, allow_uncertified),
         pack=stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc),
         reserve_soc=reserve_soc,
@@ -142,26 +130,59 @@ def replay(
         system=system,
         is_plain=plain,
     )
-    results, failed = list[dict[str, Any]](), False
     with pack_memory.open_memory(packs, pack) as memory:
-        for log, of_one in zip(logs, outputs, strict=True):
-            try:
-                results.append(_one(log, asked, memory, of_one, summary))
-            except UavbattError as error:
-                if not several:
-                    raise
-                failed = True
-                remark(f"uavbatt: {error}")
-                results.append({"log": str(log), "error": terminal_line(error)})
+        results = _each(logs, options, memory, outputs, summary)
     if summary is not None:
         from uavbatt.files import write_json
 
-        write_json(summary, results if several else results[0])
-    if failed:
+        write_json(summary, results if len(logs) > 1 else results[0])
+    if any("error" in result for result in results):
         raise typer.Exit(1)
 
 
-def _one(log: Path, asked: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None) -> dict[str, Any]:
+def _checked_outputs(
+    logs: list[Path], named: Outputs, summary: Path | None, inputs: list[Path | None]
+) -> list[Outputs]:
+    """Return the output files of each log, and make their folders; raise UsageError where one cannot be written.
+
+    inputs : the files that the command reads beside the logs
+    """
+    check_named(named.png, named.svg)
+    several, reads = len(logs) > 1, [*logs, *inputs]
+    outputs = [named.in_folders(name) for name in distinct_names(logs)] if several else [named]
+    targets = [summary, *(path for of_one in outputs for path in of_one)]
+    if several:
+        _check_folders(named)
+        check_apart(targets, reads)
+        for folder in filter(None, named):
+            folder.mkdir(parents=True, exist_ok=True)
+    check_writable(*targets, reads=reads)
+    if not several:
+        check_ending(named.report, "--report", ".html")
+        check_ending(named.png, "--png", ".png")
+        check_ending(named.svg, "--svg", ".svg")
+    return outputs
+
+
+def _each(
+    logs: list[Path], options: ReplayOptions, memory: PackMemory, outputs: list[Outputs], summary: Path | None
+) -> list[dict[str, Any]]:
+    """Return the summary of each log; of several logs, the error of one that cannot be replayed takes its place."""
+    results = list[dict[str, Any]]()
+    for log, of_one in zip(logs, outputs, strict=True):
+        try:
+            results.append(_one(log, options, memory, of_one, summary))
+        except UavbattError as error:
+            if len(logs) == 1:
+                raise
+            remark(f"uavbatt: {error}")
+            results.append({"log": str(log), "error": terminal_line(error)})
+    return results
+
+
+def _one(
+    log: Path, options: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None
+) -> dict[str, Any]:
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
@@ -169,23 +190,23 @@ def _one(log: Path, asked: ReplayOptions, memory: PackMemory, outputs: Outputs, 
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
 
-    flight = asked_flight(log, asked.instance, asked.join, asked.system)
-    if asked.mission is not None:
-        flight = with_mission(flight, asked.mission)
-    to_come = stated_load(asked.load, flight, asked.vehicle, asked.battery)
-    settings = ForecastSettings(to_come, asked.reserve_soc, recorded_period_s(flight))
-    health = memory.health_before(flight, asked.battery)
-    estimator = estimator_for(flight, asked.battery, asked.pack, settings, health)
+    flight = asked_flight(log, options.instance, options.join, options.system)
+    if options.mission is not None:
+        flight = with_mission(flight, options.mission)
+    to_come = stated_load(options.load, flight, options.vehicle, options.battery)
+    settings = ForecastSettings(to_come, options.reserve_soc, recorded_period_s(flight))
+    health = memory.health_before(flight, options.battery)
+    estimator = estimator_for(flight, options.battery, options.pack, settings, health)
     with ExitStack() as stack:  # no file appears if a later step fails
         run = _written(flight, estimator, log.name, outputs, stack)
         size = size_of_replayed(estimator, flight)
-        found = outcome(run, size.cutoff_V, asked.reserve_soc)
-        _draw(outputs, flight, run, size, found, asked.battery)
-    learned = memory.learn(flight, asked.battery, asked.pack, health)
-    lines = flight_text.plain_lines if asked.is_plain else flight_text.lines
+        found = outcome(run, size.cutoff_V, options.reserve_soc)
+        _draw(outputs, flight, run, size, found, options.battery)
+    learned = memory.learn(flight, options.battery, options.pack, health)
+    lines = flight_text.plain_lines if options.is_plain else flight_text.lines
     for line in [*lines(flight, size, found, run), *learned.lines]:
         say(line, *outputs, summary)
-    return {**flight_text.summary(flight, size, found, run, asked.battery), **learned.fields}
+    return {**flight_text.summary(flight, size, found, run, options.battery), **learned.fields}
 
 
 def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack) -> list[ReplayedRow]:

@@ -64,13 +64,19 @@ def validate(
             raise UsageError("--method paper judges the tests as printed: --ship and --report need --method iso")
         _paper(tests, json_file)
         return
+    result = _iso(tests, _limits(tests.cells_series, limit_v, limit_s, crossing_v), ship, report, json_file)
+    raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
+
+
+def _iso(tests: DataSet, limits: Limits, ship: Path | None, report: Path | None, json_file: Path | None) -> Validation:
+    """Judge the tests, print the result, and write the files that are wanted."""
     from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
     from uavbatt.validation.validate import validate as judge
 
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
     with progress_bar(tests.name) as progress:
-        result = judge(tests, _limits(tests.cells_series, limit_v, limit_s, crossing_v), progress)
+        result = judge(tests, limits, progress)
     printed = _printed(tests)
     for line in _lines(result):
         say(line, report, json_file)
@@ -84,16 +90,20 @@ def validate(
 
         write_page(report, validation_report(result, printed))
         say(f"report: {report}", report, json_file)
-    if ship is not None and result.battery is not None:
-        from uavbatt.battery import battery_file
+    if ship is not None:
+        _ship(result, ship, report, json_file)
+    return result
 
-        written = battery_file.write_battery(
-            result.battery, ship / f"{result.battery.battery.name}{battery_file.SUFFIX}"
-        )
-        say(f"shipped: {written}", report, json_file)
-    elif ship is not None:
+
+def _ship(result: Validation, folder: Path, *outputs: Path | None) -> None:
+    """Write the battery file that has passed; `outputs` are the files of the command, which may be stdout."""
+    from uavbatt.battery import battery_file
+
+    if result.battery is None:
         remark("nothing shipped: the verdict is not pass")
-    raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
+        return
+    path = folder / f"{result.battery.battery.name}{battery_file.SUFFIX}"
+    say(f"shipped: {battery_file.write_battery(result.battery, path)}", *outputs)
 
 
 def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float | None) -> Limits:

@@ -101,17 +101,8 @@ def time_to_end_one(
         if reserve_soc > 0.0:
             margin = min(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
-        if by_rows:  # the last three rows as bits: two of three below make the middle one's median below
-            below_end, below_low = (2 * below_end + (margin < 0.0)) % 8, (2 * below_low + (above_low < 0.0)) % 8
-            if k > 1 and low_s == np.inf and below_low in (3, 5, 6, 7):
-                low_s = earlier_s
-            if k > 1 and below_end in (3, 5, 6, 7):
-                end_s = earlier_s
-        else:
-            if low_s == np.inf and above_low < 0.0:
-                low_s = crossing(k, last_low, above_low, earlier_s, at_s)
-            if margin < 0.0:
-                end_s = crossing(k, last_end, margin, earlier_s, at_s)
+        end_s, below_end = fallen(by_rows, k, end_s, below_end, last_end, margin, earlier_s, at_s)
+        low_s, below_low = fallen(by_rows, k, low_s, below_low, last_low, above_low, earlier_s, at_s)
         if end_s < np.inf:
             break
         last_end, last_low = margin, above_low
@@ -131,3 +122,20 @@ def time_to_end_one(
 def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
     """Return the instant [s] at which the fall from `above` to `under` passed zero (`time_to_end._mean_crossing`)."""
     return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0
+
+
+@compiled
+def fallen(
+    by_rows: bool, k: int, known_s: float, below: int, last: float, margin: float, earlier_s: float, at_s: float
+) -> tuple[float, int]:
+    """Return the instant [s] at which a margin has fallen below zero, inf before, and its last three rows as bits.
+
+    known_s, below : the two before step `k`; last, margin : the margin at the step before and at this one, which
+    begin at `earlier_s` and `at_s` [s]. By rows the centred median of three decides.
+    """
+    if not by_rows:
+        is_new = known_s == np.inf and margin < 0.0
+        return (crossing(k, last, margin, earlier_s, at_s) if is_new else known_s), below
+    below = (2 * below + (margin < 0.0)) % 8
+    is_new = known_s == np.inf and k > 1 and below in (3, 5, 6, 7)  # two of the three are below zero
+    return (earlier_s if is_new else known_s), below

@@ -11,9 +11,11 @@ import math
 from dataclasses import replace
 
 from uavbatt.battery.scaling import Pack
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, Estimate, Status
 
 ASSUMED_SD, STATED_SD = (0.5, 1.2), (0.2, 0.4)
+ASSUMED = Notice("no current sensor: the load is assumed", Kind.NO_CURRENT)
 
 
 def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
@@ -35,4 +37,4 @@ def unmetered_estimate(found: Estimate) -> Estimate:
     found = replace(found, current_A=NAN, power_W=NAN)
     if found.status is not Status.OK:
         return found
-    return replace(found, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
+    return replace(found, status=Status.CONVERGING, reason=ASSUMED)

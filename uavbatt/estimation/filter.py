@@ -30,10 +30,15 @@ from uavbatt.estimation.recursion import (
     start,
 )
 from uavbatt.estimation.time_alignment import Skew
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, Estimate, Sample, Status
 
 CONVERGED_SOC_SD = 0.10
 REFUSED_SOC_SD = 0.25
+NO_VOLTAGE = Notice("no voltage in this row", Kind.NO_VOLTAGE)
+NO_CURRENT = Notice("no current in this row", Kind.NO_CURRENT)
+TIME_BACKWARDS = Notice("time went backwards", Kind.TIME_BACKWARDS)
+NO_CHARGE = Notice("state of charge not known at all", Kind.NO_CHARGE)
 
 
 class BeliefSummary(NamedTuple):
@@ -203,13 +208,15 @@ def unknown(sample: Sample, reason: str) -> Estimate:
     return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
 
 
-def known_only_to(soc_sd: float) -> str:
+def known_only_to(soc_sd: float) -> Notice:
     """Say in words how well the charge is known, without a number where the standard deviation is 1 or more."""
-    return f"still settling: charge known to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"
+    if soc_sd < 1.0:
+        return Notice(f"still settling: charge known to ±{soc_sd:.0%}", Kind.SETTLING)
+    return NO_CHARGE
 
 
-def _why_nothing(sample: Sample) -> str:
+def _why_nothing(sample: Sample) -> Notice:
     """Return why a row moved nothing."""
     if is_complete(sample):
-        return "time went backwards"
-    return "no voltage in this row" if not math.isfinite(sample.voltage_V) else "no current in this row"
+        return TIME_BACKWARDS
+    return NO_CURRENT if math.isfinite(sample.voltage_V) else NO_VOLTAGE

@@ -24,6 +24,7 @@ from uavbatt.estimation.sensors import (
     LoadWatch,
     SinceMoved,
 )
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS, LOST_SDS = 3.0, 5.0
@@ -40,14 +41,21 @@ SMALL_PACK, FAR_SMALLER, FAR_LARGER, SURE_SDS = (
 FAR_MORE_OHMS = 3.5  # times the resistance of a new pack of the stated size: packs in use reach three
 SETTLED_SHARE = 0.2  # largest sd of the capacity, relative: beyond, the time left is known to a factor of two
 
-STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
-STUCK_CURRENT = "the current has not moved for half a minute, as it does in flight: a stuck sensor?"
-DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a dead current sensor?"
-UNFITTING = "voltage and current have not fitted this battery for a minute"
-FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
-SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
-LARGE = "this pack holds more than stated: a larger one, or a current sensor that reads high"
-MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad contact"
+STUCK_VOLTAGE = Notice("the voltage has not moved under load for half a minute: a stuck sensor?", Kind.STUCK_VOLTAGE)
+STUCK_CURRENT = Notice(
+    "the current has not moved for half a minute, as it does in flight: a stuck sensor?", Kind.STUCK_CURRENT
+)
+DEAD_CURRENT = Notice(
+    "the current fell to nothing while the voltage did not recover: a dead current sensor?", Kind.DEAD_CURRENT
+)
+UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
+FAR_OFF = Notice(
+    "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
+    Kind.FAR_OFF,
+)
+SMALL = Notice("this pack holds less than stated: aged or smaller, or a current sensor that reads low", Kind.SMALL_PACK)
+LARGE = Notice("this pack holds more than stated: a larger one, or a current sensor that reads high", Kind.LARGE_PACK)
+MANY_OHMS = Notice("this pack has the ohms of a far smaller one than stated, or a bad contact", Kind.MANY_OHMS)
 
 
 class Innovations(NamedTuple):

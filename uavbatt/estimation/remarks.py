@@ -8,6 +8,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackSize
 from uavbatt.estimation.filter import BeliefSummary
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import Sample
 
 NOTICED_WEAR, WEAR_IS_SURE = 0.15, 2.5
@@ -29,7 +30,7 @@ def remarks(
             side = f"below {low_C:g}" if core_C < low_C else f"above {high_C:g}"
             found.append(f"pack {side} °C: outside the validated range")
     if not math.isfinite(sample.temp_C):
-        found.append("no usable pack temperature")
+        found.append(Notice("no usable pack temperature", Kind.NO_TEMPERATURE))
     if pack.sag_compensated:
         found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
     if is_metered and battery.is_measured and is_worn(known, battery):

@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uavbatt.live.headline import GIVES_NOTHING
-from uavbatt.live.report import LATE, Display, Report
+from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
-from uavbatt.prediction.forecaster import JUST_TAKEN_OFF, NOT_FLYING
+from uavbatt.notice import Kind, kind_of
 from uavbatt.records import Status
 
 ALARM_PAUSE_S = 10.0
@@ -31,75 +30,71 @@ CRITICAL_BELOW_S = 90.0
 LOST_AFTER_S = 1.0  # one bad row is not a loss
 WARNING_GONE_S = 60.0
 WITHOUT_AFTER_S = 20.0  # in a flight that has had no number yet
-# Part of a warning of the estimate -> its short text behind "Battery N: ", at most 37 characters.
-WARNINGS: dict[str, str] = {
-    "turn back now": "turn back now",
-    LATE: "telemetry comes late",
-    "the measured voltage falls to the cut-off": "voltage nears its cut-off: land",
-    "nobody states the cells": "cells not stated: another count fits",
-    GIVES_NOTHING: "gives nothing, another has the load",
-    "the vehicle states": "cells of the vehicle not used",
-    " V a cell, expected": "count of cells does not fit the pack",
-    "were drawn since: another count": "count of cells does not fit the pack",
-    "nearly empty, or another count": "nearly empty, or wrong cell count",
-    "fuller than cells are": "too full, or wrong cell count",
-    "capacity of the vehicle,": "capacity of the vehicle not used",
-    "the stated": "capacity does not fit the flight",
-    "critical voltage of the vehicle,": "critical voltage does not fit",
-    "low-voltage warning": "low-voltage warning does not fit",
-    "cut-off ": "cut-off does not fit the pack",
-    "the current flows into the pack": "current flows into the pack",
-    "the rows are more than": "time of the rows does not fit",
-    "this aircraft draws": "power is not what is stated",
-    "the voltage falls faster": "voltage falls faster than charge says",
-    "this pack holds less than stated": "pack holds less than stated",
-    "this pack holds more than stated": "pack holds more than stated",
-    "this pack has the ohms of a far smaller": "ohms of a much smaller pack",
-    "the voltage is far off": "voltage is not this battery file's",
-    "have not fitted this battery": "voltage and current do not fit",
-    "the voltage has not moved": "voltage is stuck",
-    "the current has not moved": "current is stuck",
-    "the current fell to nothing": "current fell to nothing: sensor?",
+# Kind of a warning of the estimate -> its short text behind "Battery N: ", at most 37 characters.
+WARNINGS: dict[Kind, str] = {
+    Kind.TURN_BACK: "turn back now",
+    Kind.LATE: "telemetry comes late",
+    Kind.ENDS_SOON: "voltage nears its cut-off: land",
+    Kind.CELLS_NOT_STATED: "cells not stated: another count fits",
+    Kind.GIVES_NOTHING: "gives nothing, another has the load",
+    Kind.CELLS_OF_VEHICLE: "cells of the vehicle not used",
+    Kind.CELLS: "count of cells does not fit the pack",
+    Kind.NEARLY_EMPTY: "nearly empty, or wrong cell count",
+    Kind.TOO_FULL: "too full, or wrong cell count",
+    Kind.CAPACITY_OF_VEHICLE: "capacity of the vehicle not used",
+    Kind.CAPACITY: "capacity does not fit the flight",
+    Kind.CRITICAL_VOLTAGE: "critical voltage does not fit",
+    Kind.LOW_VOLTAGE: "low-voltage warning does not fit",
+    Kind.CUTOFF: "cut-off does not fit the pack",
+    Kind.CHARGING: "current flows into the pack",
+    Kind.SLOW_ROWS: "time of the rows does not fit",
+    Kind.POWER: "power is not what is stated",
+    Kind.FALLS_FASTER: "voltage falls faster than charge says",
+    Kind.SMALL_PACK: "pack holds less than stated",
+    Kind.LARGE_PACK: "pack holds more than stated",
+    Kind.MANY_OHMS: "ohms of a much smaller pack",
+    Kind.FAR_OFF: "voltage is not this battery file's",
+    Kind.UNFITTING: "voltage and current do not fit",
+    Kind.STUCK_VOLTAGE: "voltage is stuck",
+    Kind.STUCK_CURRENT: "current is stuck",
+    Kind.DEAD_CURRENT: "current fell to nothing: sensor?",
 }
 
-AT_START = frozenset({"cut-off "})  # must begin the warning or the reason: others have these words further on
-CRITICAL = ("turn back now", "the measured voltage falls to the cut-off")
+CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON)
 
 LONGEST_REASON = 23
 
-# Part of the reason of a refusal -> its short text behind "Battery N: time unknown, ".
-REASONS: dict[str, str] = {
-    "no telemetry": "no telemetry",
-    LATE: "telemetry comes late",
-    "no current": "no current reading",
-    "no voltage": "no voltage reading",
-    "time went backwards": "time went backwards",
-    "still settling": "charge is uncertain",
-    "waiting for take-off": "no load seen",
-    "not flying": "no load seen",
-    "the load has just come": "the load has just come",
-    "beyond six hours": "load is no flight's",
-    "state of charge not known": "charge is unknown",
-    "no belief": "no estimate yet",
-    "two senders": "two senders disagree",
-    "in uavbatt itself": "a fault of uavbatt",
-    "capacity: neither": "capacity not stated",
-    " V a cell, expected": "cell count is wrong",
-    "were drawn since: another count": "cell count is wrong",
-    "the stated": "capacity is wrong",
-    "low-voltage warning": "low voltage is wrong",
-    "cut-off ": "cut-off is wrong",
-    "the current flows into the pack": "current is negative",
-    "the rows are more than": "time is wrong",
-    "this pack holds less than stated": "capacity is wrong",
-    "this pack holds more than stated": "capacity is wrong",
-    "this pack has the ohms of a far smaller": "capacity is wrong",
-    "the voltage has not moved": "voltage is stuck",
-    "the current has not moved": "current is stuck",
-    "the current fell to nothing": "current fell to nothing",
-    "the voltage is far off": "voltage does not fit",
-    "have not fitted this battery": "voltage does not fit",
-    "no end in sight": "charge and load differ",
+# Kind of the reason of a refusal -> its short text behind "Battery N: time unknown, ".
+REASONS: dict[Kind, str] = {
+    Kind.NO_TELEMETRY: "no telemetry",
+    Kind.LATE: "telemetry comes late",
+    Kind.NO_CURRENT: "no current reading",
+    Kind.NO_VOLTAGE: "no voltage reading",
+    Kind.TIME_BACKWARDS: "time went backwards",
+    Kind.SETTLING: "charge is uncertain",
+    Kind.NOT_FLYING: "no load seen",
+    Kind.JUST_TAKEN_OFF: "the load has just come",
+    Kind.BEYOND_SIX_HOURS: "load is no flight's",
+    Kind.NO_CHARGE: "charge is unknown",
+    Kind.NO_BELIEF: "no estimate yet",
+    Kind.TWO_SENDERS: "two senders disagree",
+    Kind.FAULT: "a fault of uavbatt",
+    Kind.CAPACITY_NOT_STATED: "capacity not stated",
+    Kind.CELLS: "cell count is wrong",
+    Kind.CAPACITY: "capacity is wrong",
+    Kind.LOW_VOLTAGE: "low voltage is wrong",
+    Kind.CUTOFF: "cut-off is wrong",
+    Kind.CHARGING: "current is negative",
+    Kind.SLOW_ROWS: "time is wrong",
+    Kind.SMALL_PACK: "capacity is wrong",
+    Kind.LARGE_PACK: "capacity is wrong",
+    Kind.MANY_OHMS: "capacity is wrong",
+    Kind.STUCK_VOLTAGE: "voltage is stuck",
+    Kind.STUCK_CURRENT: "current is stuck",
+    Kind.DEAD_CURRENT: "current fell to nothing",
+    Kind.FAR_OFF: "voltage does not fit",
+    Kind.UNFITTING: "voltage does not fit",
+    Kind.NO_END: "charge and load differ",
 }
 
 
@@ -110,7 +105,7 @@ class Announcer:
         self._instance = instance
         self._waiting = dict.fromkeys(sorted(thresholds_s, reverse=True), True)
         self._spoke_s: dict[str, float] = {}  # by subject
-        self._warned_s: dict[str, float] = {}  # when each warning was last seen
+        self._warned_s: dict[Kind, float] = {}  # when each warning was last seen
         self._was_known = self._is_without_said = False
         self._lost_s = math.nan
 
@@ -184,13 +179,11 @@ class Announcer:
         return [(SEVERITY_WARNING, f"time unknown, {_short(shown.reason)}")]
 
     def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
-        made = []
-        for words, short in WARNINGS.items():
-            if not any(_tells(warning, words) for warning in warnings):
-                continue
-            if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
-                made.append((SEVERITY_CRITICAL if words in CRITICAL else SEVERITY_WARNING, short))
-            self._warned_s[words] = now_s
+        made, held = [], {kind_of(warning) for warning in warnings}
+        for kind in (kind for kind in WARNINGS if kind in held):
+            if now_s - self._warned_s.get(kind, -math.inf) > WARNING_GONE_S:
+                made.append((SEVERITY_CRITICAL if kind in CRITICAL else SEVERITY_WARNING, WARNINGS[kind]))
+            self._warned_s[kind] = now_s
         return made
 
     def _may(self, now_s: float, subject: str, pause_s: float = ALARM_PAUSE_S) -> bool:
@@ -202,16 +195,12 @@ def _waits_for_load(report: Report, is_airborne: bool) -> bool:
 
     A battery without load beside another that has it also waits: it has a warning of its own.
     """
-    reason = report.remaining.reason
-    return reason == JUST_TAKEN_OFF or GIVES_NOTHING in reason or (reason == NOT_FLYING and not is_airborne)
+    kind = kind_of(report.remaining.reason)
+    return kind in (Kind.JUST_TAKEN_OFF, Kind.GIVES_NOTHING) or (kind is Kind.NOT_FLYING and not is_airborne)
 
 
 def _short(reason: str) -> str:
-    return next((short for words, short in REASONS.items() if _tells(reason, words)), _fitting(reason, LONGEST_REASON))
-
-
-def _tells(sentence: str, words: str) -> bool:
-    return sentence.startswith(words) if words in AT_START else words in sentence
+    return REASONS.get(kind_of(reason)) or _fitting(reason, LONGEST_REASON)
 
 
 def _fitting(text: str, longest: int) -> str:

@@ -24,6 +24,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, LiveRow
@@ -58,7 +59,7 @@ class Batteries:
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
         self._put_by: dict[Vehicle | None, tuple[dict[int, TrackedBattery], dict[int, Report]]] = {}
-        self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
+        self._facts: dict[int, tuple[int, PackFacts]] = {}  # by the version of the parameters
         self._note_until_s = now_s + NOTE_S  # until then the notes say how the estimate began
         self._problem = ""
         self._resumption = self._found(now_s)
@@ -72,9 +73,9 @@ class Batteries:
         last, reader = (self.tracked, self.reports), self._reader
         self.tracked, self.reports = self._put_by.pop(reader.followed, ({}, {}))
         self._facts = {}
-        self._put_by = {vehicle: kept for vehicle, kept in self._put_by.items() if vehicle is reader.awaited}
-        if reader.awaited is not None:
-            self._put_by.setdefault(reader.awaited, last)
+        self._put_by = {vehicle: kept for vehicle, kept in self._put_by.items() if vehicle is reader.following.awaited}
+        if reader.following.awaited is not None:
+            self._put_by.setdefault(reader.following.awaited, last)
         if self._keeper is not None:
             self._keeper.begin_vehicle()
 
@@ -84,17 +85,21 @@ class Batteries:
             self.tracked.clear()
             self._reader.resume({})
 
-    def step(self, row: LiveRow, now_s: float) -> Report:
-        """Take one row through the estimator of its battery; return the report. `now_s` is monotonic [s]."""
+    def step(self, row: LiveRow, vehicle: Vehicle, now_s: float) -> Report:
+        """Take one row of the followed vehicle through the estimator of its battery; return the report.
+
+        now_s : on the monotonic clock [s]
+        """
         instance = row.instance
         tracked = self._tracked(instance, now_s)
-        if self._keeper is not None and self._reader.awaited is None:  # else the packs are of another crew
-            self._remember(self._keeper, row, now_s)
+        if self._keeper is not None and self._reader.following.awaited is None:  # else the packs are of another crew
+            self._remember(self._keeper, row, vehicle, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
-        facts, navigation = self._facts_of(instance), self._reader.navigation
-        estimate, remaining = tracked.step(row.sample, facts, gap_s, navigation)
+        facts = self._facts_of(instance, vehicle)
+        estimate, remaining = tracked.step(row.sample, facts, gap_s, self._reader.navigation)
         if conflict := self._reader.conflict(instance):
-            estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
+            why = Notice(f"two senders speak for this battery: {conflict}", Kind.TWO_SENDERS)
+            estimate, remaining = _refused(estimate, remaining, why)
         before, resolved = self.reports.get(instance), tracked.estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
@@ -103,8 +108,8 @@ class Batteries:
         flying_s, flown = row.sample.time_s - tracked.estimator.flying_since_s, tracked.flown
         report = Report(
             instance=instance,
-            system=self._vehicle.system,
-            component=self._vehicle.component,
+            system=vehicle.system,
+            component=vehicle.component,
             estimate=estimate,
             remaining=remaining,
             received_s=now_s,
@@ -150,7 +155,7 @@ class Batteries:
         if self._keeper is not None:
             self._keeper.look_after(now_s)
         path = self._config.state.file
-        is_own = self._reader.awaited is None  # else the state in the file is of the vehicle that is awaited
+        is_own = self._reader.following.awaited is None  # else the state in the file is of the vehicle that is awaited
         batteries = self._saved(now_s) if path and is_own else {}
         if not batteries:
             return
@@ -171,18 +176,22 @@ class Batteries:
     @property
     def _vehicle(self) -> state.SavedVehicle:
         """Return the identity of the vehicle whose batteries are estimated, as far as it is known."""
-        reader = self._reader
-        return state.SavedVehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
+        vehicle = self._reader.followed
+        if vehicle is None:
+            return state.SavedVehicle(system=0, component=0)
+        return state.SavedVehicle(system=vehicle.system, component=vehicle.component, hardware=vehicle.hardware)
 
     def _saved(self, now_s: float) -> dict[str, SavedBattery]:
         """Return the batteries that the next process may resume: those whose last row is not too old."""
         waited_s = self._resumption.age_s + now_s - self._start_s
         left = self._resumption.left(self._vehicle).items()
         silent = {key: replace(saved, since_row_s=saved.since_row_s + waited_s) for key, saved in left}
+        vehicle, tracked = self._reader.followed, self.tracked.items()
+        known = {i: t.saved(self._facts_of(i, vehicle)) for i, t in tracked} if vehicle is not None else {}
         heard = {
             str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].silent_s(now_s))
-            for i, tracked in self.tracked.items()
-            if (saved := tracked.saved(self._facts_of(i))) is not None
+            for i, saved in known.items()
+            if saved is not None
         }
         every = {**silent, **heard}
         return {key: saved for key, saved in every.items() if saved.since_row_s <= self._config.state.max_age_s}
@@ -200,9 +209,9 @@ class Batteries:
         clock = self._clocks(now_s)
         return clock.wall_s if clock.is_clock_set else math.nan
 
-    def _remember(self, keeper: PackKeeper, row: LiveRow, now_s: float) -> None:
+    def _remember(self, keeper: PackKeeper, row: LiveRow, vehicle: Vehicle, now_s: float) -> None:
         """Give the estimate the pack's health from the ledger while on the ground, and the ledger the row."""
-        tracked, said = self.tracked[row.instance], self._reader.pack(row.instance)
+        tracked, said = self.tracked[row.instance], vehicle.pack(row.instance)
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
         if known is not None and known.done() and tracked.is_open_to_memory(row.sample.armed):
             tracked.remember(self._config.packs.name or said.serial, known.result())
@@ -224,11 +233,11 @@ class Batteries:
         )
         return Resumption(found)
 
-    def _facts_of(self, instance: int) -> PackFacts:
-        version, facts = self._facts.get(instance, ((-1, -1), PackFacts()))
-        if version != self._reader.version:
-            facts = self._reader.facts(instance)
-            self._facts[instance] = (self._reader.version, facts)
+    def _facts_of(self, instance: int, vehicle: Vehicle) -> PackFacts:
+        """Return what the followed vehicle has stated of a battery; it is read anew when its parameters change."""
+        version, facts = self._facts.get(instance, (-1, PackFacts()))
+        if version != vehicle.parameters.version:
+            version, facts = self._facts[instance] = vehicle.parameters.version, vehicle.facts(instance)
         return facts
 
 
@@ -237,7 +246,7 @@ def _is_worth_keeping(parameter: str) -> bool:
     return parameter.startswith(BATTERY_NAMES) or parameter in NAMES
 
 
-def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:
+def _refused(estimate: Estimate, remaining: Remaining, reason: Notice) -> tuple[Estimate, Remaining]:
     """Return the estimate and the remaining time as refused for this reason."""
     status = Status.REFUSED
     return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)

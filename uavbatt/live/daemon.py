@@ -34,7 +34,7 @@ from uavbatt.mavlink.pipe import wait
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Status
 from uavbatt.telemetry.formats.recording import PERIOD_NAME
-from uavbatt.telemetry.live import LiveRow
+from uavbatt.telemetry.vehicle import LiveRow, Vehicle
 
 LONGEST_WAIT_S = 0.1
 # A busy link wakes the loop 200 times a second at most; after a turn with FLOOD pieces or more there is no pause.
@@ -85,7 +85,8 @@ class Daemon:
     @property
     def armed(self) -> bool | None:
         """Return the armed bit of the followed vehicle's last heartbeat; None before it."""
-        return self._reader.armed
+        vehicle = self._reader.followed
+        return vehicle.armed if vehicle is not None else None
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Run the loop until told to stop, then close everything."""
@@ -108,7 +109,7 @@ class Daemon:
             station.read(now_s)  # read and dropped: we do not answer requests of a ground station
         late_s = self._reader.late_s
         known = {number: report.late_by(late_s) for number, report in self.batteries.reports.items()}
-        reports = self._headline.in_order(known, now_s, self._reader.armed)
+        reports = self._headline.in_order(known, now_s, self.armed)
         self._sender.send(now_s, reports, self._reader)
         self._housekeeping(now_s, reports)
         return len(pieces)
@@ -130,15 +131,16 @@ class Daemon:
         rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
         if self._reader.following.changes != self._changes:
             self._begin_vehicle(now_s)
-        if not is_ours:
+        vehicle = self._reader.followed
+        if vehicle is None or not is_ours:
             return
         if frame.header.message_id == fields.AUTOPILOT_VERSION:
             self.batteries.look_at_vehicle()
         if self._recorder is not None:
-            self._record(frame, now_s)
+            self._record(self._recorder, vehicle, frame, now_s)
         for row in rows:
             if self.config.pack.instance in (None, row.instance):
-                self._step(row, now_s)
+                self._step(row, vehicle, now_s)
 
     def _begin_vehicle(self, now_s: float) -> None:
         """Drop the last vehicle, as another one is followed from now on, and announce it."""
@@ -146,25 +148,25 @@ class Daemon:
         if self.batteries.reports:
             self.board.trend.forget()
         self.batteries.begin_vehicle()
-        self._sender.begin_vehicle(now_s, self._reader)
+        self._sender.begin_vehicle(now_s, self._reader.following)
         self._headline = Headline()
         if self._recorder is not None and self._reader.followed is not None:
             self._recorder.begin_anew(self._reader.followed.words)
 
-    def _record(self, frame: HeardFrame, now_s: float) -> None:
-        assert self._recorder is not None
-        if not self._recorder.remembers(PERIOD_NAME.encode()):
+    def _record(self, recorder: Recorder, vehicle: Vehicle, frame: HeardFrame, now_s: float) -> None:
+        """Record a frame of the vehicle, and before its first one the time between our forecasts."""
+        if not recorder.remembers(PERIOD_NAME.encode()):
             own = Outgoing(frame.header.system, self.config.link.own_component)
             period = own.parameter(PERIOD_NAME, self._settings.forecast_period_s)
-            self._recorder.remember(PERIOD_NAME.encode(), period)
-        self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
+            recorder.remember(PERIOD_NAME.encode(), period)
+        recorder.frame(frame.data, self._stamp_us, vehicle.now_s, now_s, vehicle.armed)
 
-    def _step(self, row: LiveRow, now_s: float) -> None:
+    def _step(self, row: LiveRow, vehicle: Vehicle, now_s: float) -> None:
         """Estimate one row, and tell the proxy at once, so that the next frame carries the new time."""
         before = self.batteries.reports.get(row.instance)
         if before is not None and before.is_stale(now_s):
             self._sender.requests.begin_again()
-        report = self.batteries.step(row, now_s)
+        report = self.batteries.step(row, vehicle, now_s)
         self._counts["rows"] += 1
         self._counts["refused"] += report.remaining.status is Status.REFUSED
         self._sender.requests.row()

@@ -17,13 +17,12 @@ from dataclasses import replace
 from uavbatt.live.carriers import Carriers
 from uavbatt.live.log import tell
 from uavbatt.live.report import Report
-from uavbatt.prediction.forecaster import NOT_FLYING
+from uavbatt.notice import Kind, Notice, kind_of
 
 NOTHING_SHARE = 0.02  # of the largest current of a battery; electronics alone draw more
 NOTHING_AFTER_S = 3.0  # one row without a current does not count
 CHANGES_AFTER_S = 1.0  # one row without a number does not change the order
 KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # another becomes first with less than this share, or so many seconds less
-GIVES_NOTHING = "gives nothing"  # in the warning of its estimate
 
 
 class Headline:
@@ -48,7 +47,7 @@ class Headline:
         self.notes = []
         found = dict(reports)
         if carrying is not None:
-            words = f"{GIVES_NOTHING}: battery {carrying.instance} carries the flight"
+            words = Notice(f"gives nothing: battery {carrying.instance} carries the flight", Kind.GIVES_NOTHING)
             self.notes = [f"battery {instance} {words}" for instance in idle]
             found |= {instance: _warned(reports[instance], words) for instance in idle}
         self._tell(idle)
@@ -120,8 +119,8 @@ def _gives_nothing(report: Report, carrying: Report) -> bool:
     return report.estimate.current_A < NOTHING_SHARE * carrying.estimate.current_A
 
 
-def _warned(report: Report, words: str) -> Report:
+def _warned(report: Report, words: Notice) -> Report:
     """Return the report with these words as a warning, and as the reason if it would otherwise wait for take-off."""
     estimate = replace(report.estimate, warnings=(*report.estimate.warnings, words))
-    reason = words if report.remaining.reason == NOT_FLYING else report.remaining.reason
+    reason = words if kind_of(report.remaining.reason) is Kind.NOT_FLYING else report.remaining.reason
     return replace(report, estimate=estimate, remaining=replace(report.remaining, reason=reason))

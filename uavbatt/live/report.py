@@ -11,13 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.output import Line, line, rounded, speaker
-from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
 LATE_S, TOO_LATE_S = 3.0, 10.0  # delay by the vehicle's clock: from the first it is subtracted, beyond the second stale
-LATE = "the telemetry comes late"  # begins a warning or a reason
 NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
@@ -84,7 +83,7 @@ class Report:
         """Return the report of a row that came `late_s` [s] late, with a warning; up to LATE_S it is unchanged."""
         if not late_s > LATE_S:
             return self
-        warnings = (*self.estimate.warnings, _late_words(late_s))
+        warnings = (*self.estimate.warnings, _late_notice(late_s))
         return replace(self, late_s=late_s, estimate=replace(self.estimate, warnings=warnings))
 
     def silent_s(self, now_s: float) -> float:
@@ -99,14 +98,16 @@ class Report:
         """Return True if the last row is so old, or came so late, that nothing is known any more."""
         return self.silent_s(now_s) > STALE_AFTER_S or self.late_s > TOO_LATE_S
 
-    def _why_stale(self, now_s: float) -> str:
+    def _why_stale(self, now_s: float) -> Notice:
         silent_s = self.silent_s(now_s)
-        return f"no telemetry for {silent_s:.0f} s" if silent_s > STALE_AFTER_S else _late_words(self.late_s)
+        if silent_s > STALE_AFTER_S:
+            return Notice(f"no telemetry for {silent_s:.0f} s", Kind.NO_TELEMETRY)
+        return _late_notice(self.late_s)
 
     @property
     def is_waiting(self) -> bool:
         """Return True before a flight, while there is no number because there is no load yet."""
-        return self.remaining.reason == NOT_FLYING and self.estimate.status is not Status.REFUSED
+        return kind_of(self.remaining.reason) is Kind.NOT_FLYING and self.estimate.status is not Status.REFUSED
 
     def at(self, now_s: float) -> Display:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
@@ -122,7 +123,7 @@ class Report:
         r = self.remaining
         return Display(
             said.status,
-            self.endurance.words if self.is_waiting else said.reason,
+            Notice(self.endurance.words, Kind.NOT_FLYING) if self.is_waiting else said.reason,
             NAN if self.estimate.status is Status.REFUSED else self.estimate.soc,
             left(r.remaining_s),
             left(r.remaining_lo_s),
@@ -147,7 +148,7 @@ class Report:
             made[key] = rounded(getattr(shown, key), 1)
         if stale:
             made |= dict.fromkeys(("soc", "soc_sd", "voltage_V", "current_A", "temp_C", "power_W", "innovation_V"))
-        made |= {"status": shown.status.value, "reason": shown.reason}
+        made |= {"status": shown.status.value, "reason": str(shown.reason)}
         endurance = UNKNOWN if stale else self.endurance
         volts = made["voltage_V"]
         return made | {
@@ -165,8 +166,8 @@ class Report:
         }
 
 
-def _late_words(late_s: float) -> str:
-    return f"{LATE}: {late_s:.0f} s, by the vehicle's own clock"
+def _late_notice(late_s: float) -> Notice:
+    return Notice(f"the telemetry comes late: {late_s:.0f} s, by the vehicle's own clock", Kind.LATE)
 
 
 class Trend:

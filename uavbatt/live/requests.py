@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.outgoing import Outgoing
-from uavbatt.telemetry.parameters import ardupilot_prefix
+from uavbatt.telemetry.parameters import HeardOnce, ardupilot_prefix
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
@@ -50,15 +50,15 @@ class Requests:
         self._asked.clear()
         self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
 
-    def again(self, now_s: float, component: int, doubted: Mapping[str, float], out: Outgoing) -> list[bytes]:
+    def again(self, now_s: float, component: int, doubted: Mapping[str, HeardOnce], out: Outgoing) -> list[bytes]:
         """Return requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
         made = []
-        for name, value in doubted.items():
-            was, times, next_s = self._again.get(name, (value, 0, now_s))
-            if was != value:
+        for name, doubt in doubted.items():
+            was, times, next_s = self._again.get(name, (doubt.value, 0, now_s))
+            if was != doubt.value:
                 times, next_s = 0, now_s
             if times < MOST_ASKED and now_s >= next_s:
-                self._again[name] = (value, times + 1, now_s + AGAIN_PAUSE_S)
+                self._again[name] = (doubt.value, times + 1, now_s + AGAIN_PAUSE_S)
                 made.append(out.parameter_request(component, name))
         self._again = {name: asked for name, asked in self._again.items() if name in doubted}
         return made

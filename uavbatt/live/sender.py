@@ -21,7 +21,10 @@ from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, Outgoing
+from uavbatt.navigation import Navigation
+from uavbatt.telemetry.following import VehicleChoice
 from uavbatt.telemetry.live import LiveReader
+from uavbatt.telemetry.vehicle import Vehicle
 
 ANNOUNCE_PERIOD_S = 0.25
 MOST_SAID = 8
@@ -46,7 +49,8 @@ class Sender:
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
         """Send all that is due at `now_s` on the monotonic clock [s]."""
         kinds, asks, reads = self._config.feed.kinds, self._config.link.request, self._config.link.request_mission
-        system = reader.system or 1
+        vehicle = reader.followed
+        system = (vehicle.system if vehicle is not None else self._config.link.system) or 1
         own = self._out(system, self._config.link.own_component)
         to_gcs: list[bytes] = []
         to_autopilot: list[bytes] = []
@@ -56,35 +60,34 @@ class Sender:
                 to_gcs.append(own.heartbeat())
             if asks or reads or not isinstance(self._link, ProxyClient):
                 to_autopilot.append(own.heartbeat())
-        if reader.is_found:
-            texts = self._announced(now_s, reports, reader)
+        if vehicle is not None:
+            texts = self._announced(now_s, reports, vehicle, reader.navigation)
             if "named" in kinds:
                 to_gcs += self._named.frames(now_s, reports, own)
                 to_gcs += [own.text(*text) for text in texts]
             if "battery" in kinds:
-                to_gcs += self._component.frames(now_s, reports, reader.battery_ids, self._out(system, BATTERY))
+                to_gcs += self._component.frames(now_s, reports, vehicle.battery_ids, self._out(system, BATTERY))
+            component, known = vehicle.component or 1, vehicle.parameters
             if asks:
-                names = parameter_names(reader.battery_ids, reader.is_px4)
-                component = reader.component or 1
-                to_autopilot += self.requests.again(now_s, component, reader.doubted, own)
-                to_autopilot += self.requests.frames(now_s, component, reader.parameters, names, own)
-            if reads and reader.followed is not None and reader.planned is None:
-                route, component = reader.followed.route, reader.component or 1
-                to_autopilot += self._mission.frames(now_s, reader.now_s, route, component, own)
+                names = parameter_names(vehicle.battery_ids, vehicle.is_px4 is True)
+                to_autopilot += self.requests.again(now_s, component, known.doubted, own)
+                to_autopilot += self.requests.frames(now_s, component, known.known, names, own)
+            if reads and reader.planned is None:
+                to_autopilot += self._mission.frames(now_s, vehicle.now_s, vehicle.route, component, own)
         for frame in to_autopilot:
             if may_reach_autopilot(header(frame).message_id, asks, reads):
                 self._link.write(frame, now_s)
         for frame in to_gcs:
             self._to_gcs(frame, now_s)
 
-    def begin_vehicle(self, now_s: float, reader: LiveReader) -> None:
+    def begin_vehicle(self, now_s: float, following: VehicleChoice) -> None:
         """Drop the requests and announcements of the last vehicle, as another one is followed from now on.
 
         The change is announced with the system ids of both, as a ground station may show only one of them; `now_s` is
         monotonic [s].
         """
-        before, self._system = self._system, reader.system
-        if words := reader.following.words:
+        before, self._system = self._system, following.vehicle.system if following.vehicle is not None else None
+        if words := following.words:
             self.said.append((now_s, words))
             if "named" in self._config.feed.kinds:
                 outs = [
@@ -96,18 +99,20 @@ class Sender:
         self.requests.begin_again()
         self._mission = MissionRequest()
 
-    def _announced(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> list[tuple[int, str]]:
+    def _announced(
+        self, now_s: float, reports: Sequence[Report], vehicle: Vehicle, navigation: Navigation
+    ) -> list[tuple[int, str]]:
         """Return the announcements that are due now."""
         if now_s < self._look_s:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S
-        is_airborne = reader.navigation.is_aloft(reader.now_s) is True
+        is_airborne = navigation.is_aloft(vehicle.now_s) is True
         made: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            made += announcer.texts(now_s, report, reader.armed, is_airborne, report is reports[0])
+            made += announcer.texts(now_s, report, vehicle.armed, is_airborne, report is reports[0])
         self.said.extend((now_s, text) for _, text in made)
         return made
 

@@ -15,12 +15,13 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
-from uavbatt.errors import UavbattError
+from uavbatt.errors import CapacityNotStated, UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
 from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
@@ -104,8 +105,7 @@ class TrackedBattery:
             self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
-            where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
-            return refused(sample, where + " ".join(str(error).split()))
+            return refused(sample, _notice_of(error))
         self._has_flown = self._has_flown or math.isfinite(self.estimator.flying_since_s)
         return found
 
@@ -161,6 +161,14 @@ class TrackedBattery:
             self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"
         return ""
+
+
+def _notice_of(error: Exception) -> Notice:
+    """Return the reason for which a row is refused that has caused this error."""
+    words = " ".join(str(error).split())
+    if isinstance(error, UavbattError):
+        return Notice(words, Kind.CAPACITY_NOT_STATED if isinstance(error, CapacityNotStated) else Kind.OTHER)
+    return Notice(f"{type(error).__name__} in uavbatt itself: {words}", Kind.FAULT)
 
 
 def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: float) -> float:

@@ -149,6 +149,25 @@ def _is_allowed(request: Any, token: str) -> bool:
     return not token or hmac.compare_digest(offered.encode(), token.encode())
 
 
+def _refusal(request: Any, host: str, token: str) -> tuple[str, int] | None:
+    """Return the text and the HTTP status with which a request is refused; None if it is answered."""
+    if not is_own_name(request.headers.get("host", ""), host):
+        return "ask for this page by its address, localhost or NAME.local\n", 421
+    return None if _is_allowed(request, token) else ("token wanted\n", 401)
+
+
+def _is_fresh(board: Board, now_s: float) -> bool:
+    """Return True if the battery that speaks for the vehicle is known now."""
+    return bool(board.reports) and not board.reports[0].is_stale(now_s)
+
+
+async def _events(board: ReadBoard, clock_s: Clock) -> AsyncIterator[dict[str, str]]:
+    """Yield the content of the page, one event after another."""
+    while True:
+        yield {"data": json.dumps(content(board(), clock_s()), allow_nan=False)}
+        await asyncio.sleep(EVENT_PERIOD_S)
+
+
 def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
     """Return the ASGI application. Raises MissingExtra without the extra `web`."""
     try:
@@ -164,22 +183,13 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
     def guarded(answer: Callable[[Request], Response]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
-            if not is_own_name(request.headers.get("host", ""), host):
-                return PlainTextResponse("ask for this page by its address, localhost or NAME.local\n", 421)
-            if not _is_allowed(request, settings.token):
-                return PlainTextResponse("token wanted\n", 401)
-            return answer(request)
+            refused = _refusal(request, host, settings.token)
+            return PlainTextResponse(*refused) if refused is not None else answer(request)
 
         return endpoint
 
-    async def stream() -> AsyncIterator[dict[str, str]]:
-        while True:
-            yield {"data": json.dumps(content(board(), clock_s()), allow_nan=False)}
-            await asyncio.sleep(EVENT_PERIOD_S)
-
     async def health(request: Request) -> Response:
-        first = next(iter(board().reports), None)  # the battery that speaks for the vehicle
-        is_fresh = first is not None and not first.is_stale(clock_s())
+        is_fresh = _is_fresh(board(), clock_s())
         return PlainTextResponse("ok\n" if is_fresh else "stale\n", 200 if is_fresh else 503)
 
     page = PAGE.read_text(encoding="utf-8")
@@ -189,7 +199,7 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
             Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s()), headers=policy))),
             Route("/now.json", guarded(lambda r: JSONResponse(content(board(), clock_s())))),
             Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=PROMETHEUS))),
-            Route("/events", guarded(lambda r: EventSourceResponse(stream()))),
+            Route("/events", guarded(lambda r: EventSourceResponse(_events(board, clock_s)))),
             Route("/register_service", guarded(lambda r: JSONResponse(ABOUT))),
             Route("/healthz", health),
         ]

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT
 from uavbatt.log_replay.run import ReplayedRow
+from uavbatt.notice import Kind, kind_of
 from uavbatt.telemetry.drawn import loaded_A
 
-DOUBTED = {DEAD_CURRENT, STUCK_CURRENT}
+DOUBTED = {Kind.DEAD_CURRENT, Kind.STUCK_CURRENT}
 LOADED_TAU_S = 10.0
 
 
@@ -58,6 +58,11 @@ def in_air(run: Sequence[ReplayedRow]) -> InAir:
             keep = math.exp(-(time_s - level_s) / LOADED_TAU_S) if math.isfinite(level_V) else 0.0
             level_V = volts + keep * (level_V - volts) if keep and math.isfinite(volts) else volts
             level_s = time_s
-        elif math.isfinite(level_s) and (math.isnan(amps[k]) or not DOUBTED.isdisjoint(row.estimate.warnings)):
+        elif math.isfinite(level_s) and (math.isnan(amps[k]) or _is_current_doubted(row)):
             lost[k] = volts <= level_V if row.armed is None else row.armed
     return InAir(loaded | lost, lost, np.where(lost, math.inf, amps), least_A)
+
+
+def _is_current_doubted(row: ReplayedRow) -> bool:
+    """Return True if the monitor takes the current of this row for that of a stuck or dead sensor."""
+    return any(kind_of(warning) in DOUBTED for warning in row.estimate.warnings)

@@ -19,7 +19,7 @@ from uavbatt.limits import Names
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.remembering import flight_for_ledger, health_before, name_of
+from uavbatt.packs.remembering import check_cells, flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
@@ -171,7 +171,7 @@ def replay(
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
-    health = _recalled(packs, pack, flight, content)
+    health = _recalled(packs, pack, flight, content, options)
     estimator = estimator_for(flight, content, options, settings, health)
     run = list(steps(flight, estimator))
     size = size_of_replayed(estimator, flight)
@@ -184,12 +184,20 @@ def _minutes(seconds: float) -> str:
     return output.clock(seconds, "unbounded" if math.isinf(seconds) else "not known")
 
 
-def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:
-    """Return the health of the flight's pack by its earlier flights in the ledger."""
+def _recalled(
+    packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile, options: PackOptions
+) -> PackHealth | None:
+    """Return the health of the flight's pack by its earlier flights in the ledger.
+
+    Raises AnotherSize if the flight could not be saved there after its replay.
+    """
     if packs is None:
         return None
+    name = name_of(flight, pack)
     with Ledger(packs) as ledger:
-        return health_before(ledger, name_of(flight, pack), flight, content)
+        health = health_before(ledger, name, flight, content)
+        check_cells(ledger, name, content, options, flight, health)
+    return health
 
 
 def _remember(

@@ -97,9 +97,10 @@ class Pipe:
         if self._free_s is None or not (self._pending or unsent(self.fd, self._owner is not None)):
             self._free_s = now_s
         behind_s = now_s - self._free_s
-        if behind_s <= BEHIND_S or is_sent_once(data):
-            return self.write(data) and behind_s <= STALLED_S
-        return behind_s <= STALLED_S
+        is_read = behind_s <= STALLED_S
+        if behind_s > BEHIND_S and not is_sent_once(data):
+            return is_read
+        return self.write(data) and is_read
 
     def write(self, data: bytes) -> bool:
         """Send the bytes and keep what does not fit; return False when the other side is gone or too slow."""

@@ -22,7 +22,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import size_from_rows
 from uavbatt.estimator import Estimator
 from uavbatt.packs.evidence import evidence_of_flight
-from uavbatt.packs.ledger import Ledger, prior
+from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, Sample
@@ -69,15 +69,14 @@ def flight_for_ledger(
 
     before : health of the pack in the ledger. Only the kind of its cells is used: one flight may not show it.
     """
-    options = of_known_cells(options, before)
-    rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+    options, rows = of_known_cells(options, before), _metered(flight)
     last_loaded = _last_loaded(rows)
     if last_loaded is None:
         return FlightForLedger(None, "no current was measured under load")
     facts = flight.facts_at(math.inf)
     if facts.sag_compensated:
         return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
-    size = size_from_rows(battery, options, replace(flight, samples=tuple(rows)), facts)
+    size = _size(battery, options, flight, rows)
     pack = sized(battery, size)
     estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
     estimator.update_facts(facts)
@@ -92,6 +91,36 @@ def flight_for_ledger(
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
     return FlightForLedger(_record(battery, size, pack, flight, rows, estimates, said))
+
+
+def check_cells(
+    ledger: Ledger,
+    name: str,
+    battery: BatteryFile,
+    options: PackOptions,
+    flight: Flight,
+    before: PackHealth | None = None,
+) -> None:
+    """Raise AnotherSize if the flight cannot be saved under a name whose pack has another number of cells.
+
+    before : health of the pack in the ledger, as for `flight_for_ledger`.
+    """
+    pack, rows = ledger.pack(name) if name else None, _metered(flight)
+    if pack is None or _last_loaded(rows) is None:
+        return
+    cells = _size(battery, of_known_cells(options, before), flight, rows).cells
+    if cells != pack.cells:
+        raise AnotherSize(ledger.path, name, pack.cells, cells, 0)
+
+
+def _metered(flight: Flight) -> list[Sample]:
+    """Return the rows with voltage and current."""
+    return [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+
+
+def _size(battery: BatteryFile, options: PackOptions, flight: Flight, rows: Sequence[Sample]) -> PackSize:
+    """Return the size of the pack by these rows and by what the vehicle has stated at the end of the flight."""
+    return size_from_rows(battery, options, replace(flight, samples=tuple(rows)), flight.facts_at(math.inf))
 
 
 def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:

@@ -19,6 +19,7 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
 from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
@@ -33,8 +34,10 @@ from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
-NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
-JUST_TAKEN_OFF = "the load has just come"
+NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
+JUST_TAKEN_OFF = Notice("the load has just come", Kind.JUST_TAKEN_OFF)
+NO_BELIEF = Notice("no belief about the pack yet", Kind.NO_BELIEF)
+BEYOND_SIX_HOURS = Notice("the end may lie beyond six hours: the load is not that of a flight", Kind.BEYOND_SIX_HOURS)
 SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
 # Number of steps to the typical end, and the longest step [s]. Gusts must be simulated one by one: with steps of 15 s
 # worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.
@@ -130,11 +133,11 @@ class Forecaster:
             self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
         refusal, question = self._refusal(estimate, flying_s), None
         if not refusal and belief is None:
-            refusal = "no belief about the pack yet"
+            refusal = NO_BELIEF
         elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
             assert belief is not None
             question = self.question(belief, sample.time_s, navigation)
-            refusal = "" if question else "the end may lie beyond six hours: the load is not that of a flight"
+            refusal = "" if question else BEYOND_SIX_HOURS
         if refusal:
             self._asked_s, self._ways = NAN, WaysAsked()
         elif question is not None:

@@ -61,6 +61,7 @@ class LearnedLoad:
     soc: Array
     landed_s: Array
     mean_W: Array  # running mean power since take-off
+    drawn_J: Array  # energy since take-off at each point of the grid, and one step behind its end: [flights, grid + 1]
     powers: Powers = UNKNOWN  # used if a route is known
 
     def typical_W(self, now: Now) -> float:
@@ -99,9 +100,8 @@ class LearnedLoad:
         if own_W.size == 0 or now.since_take_off_s - flown.length_s - flown.open_s > BLOCK_S:
             return np.full(flights, 1.0 / flights)
         edges_s = flown.length_s - BLOCK_S * np.arange(own_W.size, -1, -1)
-        drawn_J = GRID_S * np.cumsum(np.insert(self.power_W, 0, 0.0, axis=1), axis=1)
-        at_s = GRID_S * np.arange(drawn_J.shape[1])
-        past_W = np.diff([np.interp(edges_s, at_s, past_J) for past_J in drawn_J]) / BLOCK_S
+        at_s = GRID_S * np.arange(self.drawn_J.shape[1])
+        past_W = np.diff([np.interp(edges_s, at_s, past_J) for past_J in self.drawn_J]) / BLOCK_S
         return likeness(own_W, past_W)
 
 
@@ -171,8 +171,9 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
         soc[i] = np.interp(grid_s, time_s, charge)
         soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
     mean_W = np.cumsum(power_W, axis=1) / (np.arange(grid_s.size) + 1.0)
+    drawn_J = GRID_S * np.cumsum(np.insert(power_W, 0, 0.0, axis=1), axis=1)
     landed_s = np.array([t.time_s[-1] for t in file.traces])
-    return LearnedLoad(power_W, soc, landed_s, mean_W, file.powers or UNKNOWN)
+    return LearnedLoad(power_W, soc, landed_s, mean_W, drawn_J, file.powers or UNKNOWN)
 
 
 def _stitched(

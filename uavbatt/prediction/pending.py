@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.prediction.forecaster import Forecaster
@@ -18,9 +19,15 @@ from uavbatt.prediction.voltage_bound import ALARM_SHARE, FALLS_FASTER, bounded
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
-ALARM = f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left"
-ENDS_SOON = "the measured voltage falls to the cut-off within about two minutes"  # used if no time is known
-TURN_BACK = "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %"
+ALARM = Notice(
+    f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left", Kind.ALARM
+)
+ENDS_SOON = Notice(  # used if no time is known
+    "the measured voltage falls to the cut-off within about two minutes", Kind.ENDS_SOON
+)
+TURN_BACK = Notice(
+    "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %", Kind.TURN_BACK
+)
 
 
 class Pending(NamedTuple):

@@ -22,6 +22,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
+from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.records import NAN, Remaining, Sample, Status
 
@@ -38,11 +39,12 @@ ALARM_SHARE = 0.63
 SHARES = (0.5, ALARM_SHARE, 1.25, 2.5)
 SURE_LOOKS = 5  # looks, one a second
 CONTRADICTED_S = 120.0
-FALLS_FASTER = (
-    "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low"
+FALLS_FASTER = Notice(
+    "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low",
+    Kind.FALLS_FASTER,
 )
 AT_CUTOFF = "the pack is at its cut-off"
-NO_END = "no end in sight: the charge believed and the load do not fit"
+NO_END = Notice("no end in sight: the charge believed and the load do not fit", Kind.NO_END)
 
 
 class FallBin(NamedTuple):

@@ -13,7 +13,7 @@ from uavbatt.log_replay.in_air import in_air
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.navigation import Mode
-from uavbatt.prediction.forecaster import NOT_FLYING
+from uavbatt.notice import Kind, kind_of
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Flight, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
@@ -46,7 +46,7 @@ def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V
 
 def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
     """Return take-off and landing, if the log includes the ground before and after them."""
-    on_ground = [s.remaining.reason == NOT_FLYING for s in steps]
+    on_ground = [kind_of(s.remaining.reason) is Kind.NOT_FLYING for s in steps]
     if True in on_ground and False in on_ground[on_ground.index(True) :]:
         k = on_ground.index(False, on_ground.index(True))
         yield Event(steps[k].estimate.time_s, "take-off")

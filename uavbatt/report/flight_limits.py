@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
-from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
+from uavbatt.notice import Kind, kind_of
+from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number, sentence
 
 SD_90 = 1.64
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
 VOLTAGE_SHARE = 0.4  # of the time by the charge alone: below it the voltage is explained
-OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
+OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that stand on the page in other words
 
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
@@ -67,7 +68,7 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
         return []
     said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
     found = () if said is None else said.estimate.warnings
-    return [f"{sentence(w)}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
+    return [f"{sentence(w)}." for w in found if kind_of(w) not in OTHERWISE_SAID]
 
 
 def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:

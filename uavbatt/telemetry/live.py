@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.records import PackFacts
 from uavbatt.telemetry.following import VehicleChoice
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
@@ -91,41 +90,6 @@ class LiveReader:
         return self.following.vehicle
 
     @property
-    def awaited(self) -> Vehicle | None:
-        """Return the vehicle that fell silent in the air, and is followed again when it is heard armed."""
-        return self.following.awaited
-
-    @property
-    def system(self) -> int | None:
-        """Return the system of the followed vehicle; before there is one, the system that was asked for."""
-        return self.followed.system if self.followed is not None else self._asked[0]
-
-    @property
-    def component(self) -> int | None:
-        """Return the component of the followed autopilot; before there is one, the one that was asked for."""
-        return self.followed.component if self.followed is not None else self._asked[1]
-
-    @property
-    def is_found(self) -> bool:
-        """Return True if a vehicle has been found."""
-        return self.followed is not None
-
-    @property
-    def now_s(self) -> float:
-        """Return the time of the vehicle's last frame, from its first [s]."""
-        return self.followed.now_s if self.followed is not None else 0.0
-
-    @property
-    def armed(self) -> bool | None:
-        """Return the armed bit of the vehicle's last heartbeat; None before it."""
-        return self.followed.armed if self.followed is not None else None
-
-    @property
-    def is_px4(self) -> bool:
-        """Return True if the followed autopilot is PX4."""
-        return self.followed is not None and self.followed.is_px4 is True
-
-    @property
     def late_s(self) -> float:
         """Return the delay of the followed vehicle's frames by its own clock [s]; 0 if the clock is not to be used."""
         if self.followed is None or not self._has_clock:
@@ -142,34 +106,9 @@ class LiveReader:
         return replace(known, mission=self.planned.mission, home=home, transferring=False)
 
     @property
-    def battery_ids(self) -> set[int]:
-        """Return the ids of the batteries in BATTERY_STATUS."""
-        return self.followed.battery_ids if self.followed is not None else set()
-
-    @property
     def parameters(self) -> Mapping[str, float]:
         """Return the vehicle's parameters, by name, without those in doubt."""
         return self.followed.parameters.known if self.followed is not None else self._resumed
-
-    @property
-    def doubted(self) -> Mapping[str, float]:
-        """Return parameters whose change in flight was heard only once and does not count yet, by name."""
-        found = self.followed.parameters.doubted if self.followed is not None else {}
-        return {name: doubt.value for name, doubt in found.items()}
-
-    @property
-    def hardware(self) -> str:
-        """Return the serial number of the followed autopilot; empty until it has told it."""
-        return self.followed.hardware if self.followed is not None else ""
-
-    def pack(self, instance: int) -> fields.PackIdentity:
-        """Return serial and cycles of the pack of a battery, as far as they are known."""
-        return self.followed.pack(instance) if self.followed is not None else fields.PackIdentity(instance)
-
-    @property
-    def version(self) -> tuple[int, int]:
-        """Return two counters: changes of the followed vehicle, and changes of its parameters."""
-        return self.following.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; they replace any that were resumed before.
@@ -180,10 +119,6 @@ class LiveReader:
             self.followed.resume(parameters)
         else:
             self._resumed = dict(parameters)
-
-    def facts(self, instance: int) -> PackFacts:
-        """Return the facts that the vehicle has stated about one battery so far."""
-        return self.followed.facts(instance) if self.followed is not None else PackFacts()
 
     def conflict(self, instance: int) -> str:
         """Return in words what the senders of a battery disagree on; empty while they agree."""
@@ -197,13 +132,14 @@ class LiveReader:
             found.append(f"heard system{'s' * (len(self._heard) > 1)} {', '.join(map(str, self._heard))}; {whom}")
         if vehicle is None:
             return found
-        if self.awaited is not None:
-            found.append(f"system {self.awaited.system} fell silent in the air: followed again when it speaks")
+        awaited = self.following.awaited
+        if awaited is not None:
+            found.append(f"system {awaited.system} fell silent in the air: followed again when it speaks")
         for number, words in vehicle.senders.conflicts(self._now_s):
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
         found += vehicle.voltages.notes
-        for name, value in self.doubted.items():
-            change = f"{name} changed in flight from {self.parameters[name]:g} to {value:g}"
+        for name, doubt in vehicle.parameters.doubted.items():
+            change = f"{name} changed in flight from {vehicle.parameters.known[name]:g} to {doubt.value:g}"
             found.append(f"{change}: counts when it is heard again")
         return found
 
@@ -283,14 +219,15 @@ class LiveReader:
         if system not in (None, header.system) or component not in (None, header.component):
             return
         if len(self._vehicles) >= MOST_VEHICLES:
-            others = [s for s, vehicle in self._vehicles.items() if vehicle not in (self.followed, self.awaited)]
+            kept = (self.followed, self.following.awaited)
+            others = [s for s, vehicle in self._vehicles.items() if vehicle not in kept]
             del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
         self._vehicles[source] = Vehicle(*source, self._own_component)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
         """Follow this vehicle if `VehicleChoice` chooses it; an awaited one that is heard again keeps its
         parameters."""
-        old, is_again = self.followed, vehicle is self.awaited
+        old, is_again = self.followed, vehicle is self.following.awaited
         if not self.following.look_at(vehicle, stamp_s):
             return
         if old is not None and old.speaks:
