@@ -40,7 +40,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
-from uavbatt.limits import HIGHEST_C_RATE, Names
+from uavbatt.limits import Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
@@ -238,12 +238,12 @@ class Estimator:
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
         cleaner, size = self._cleaner.told(self._known.facts), self._known.size or self._known.by_voltage(samples)
-        # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
+        # Without a current sensor a typical power is assumed.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
-        most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
+        capacity_Ah = size.capacity_Ah if size is not None else math.inf
         cleaners, clean = [], []
         for sample in samples:
-            cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
+            cleaner, sample = cleaner.clean(sample, assumed_W, capacity_Ah)
             cleaners.append(cleaner)
             clean.append(sample)
         return cleaners, clean

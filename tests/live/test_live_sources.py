@@ -62,6 +62,20 @@ def test_sys_status_says_nothing_of_a_vehicle_with_two_batteries() -> None:
     assert {report.instance: report.rows for report in bench.daemon.board.reports} == {0: rows[0], 1: rows[1] + 100}
 
 
+@pytest.mark.parametrize(("times", "rows"), [(1, 0), (2, 2), (3, 3)])
+def test_a_second_battery_must_be_heard_twice(times: int, rows: int) -> None:
+    """One BATTERY2 may be damaged: it makes no battery that is stale for the rest of the flight."""
+    bench = Bench()
+    fly(bench, 10.0, "0")
+    for _ in range(times):
+        bench.send(dialect.MAVLink_battery2_message(24000, 300))
+        fly(bench, 1.0, "0", start_Ah=0.03)
+    fly(bench, 6.0, "0", start_Ah=0.04)  # until it is clear that no BATTERY_STATUS speaks for it
+    known = {report.instance: report.rows for report in bench.daemon.board.reports}
+    assert known.pop(1, 0) == rows
+    assert known.keys() == {0}
+
+
 def integer(name: str, value: int) -> Any:
     """As PX4 sends it: the bits."""
     (bits,) = struct.unpack("<f", struct.pack("<i", value))

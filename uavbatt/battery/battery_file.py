@@ -159,8 +159,6 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
         raise BadInput(name_or_path, "", f"a battery file or one of the packaged: {', '.join(packaged())}")
     if not path.exists():
         raise BadInput(path, "", "a battery file that exists")
-    if path.is_dir():
-        raise BadInput(path, "", "a battery file, not a directory")
     return read_bounded(path, MOST_BYTES, "a battery file"), str(path)
 
 

@@ -93,7 +93,7 @@ def write_vehicle(file: VehicleFile, path: Path) -> Path:
 def read_vehicle(path: str | Path) -> VehicleFile:
     """Read and check a vehicle file; raises BadInput with the file and the place."""
     source = Path(path)
-    if not source.is_file():
+    if not source.exists():
         raise BadInput(path, "", "a vehicle file that exists")
     return _checked(read_bounded(source, MOST_BYTES, "a vehicle file"), path)
 

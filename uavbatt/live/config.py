@@ -14,9 +14,11 @@ from typing import Annotated, Literal
 import msgspec
 
 from uavbatt.errors import BadInput, UsageError
+from uavbatt.files import read_bounded
 from uavbatt.limits import AMBIENT_C, CAPACITY_AH, MOST_CELLS
 
 SYSTEM_FILE = Path("/etc/uavbatt/uavbatt.toml")
+MOST_BYTES = 1_000_000  # of a configuration or a key
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 FeedKind = Literal["proxy", "battery", "named"]
 
@@ -127,10 +129,7 @@ def read_config(path: Path | None = None) -> Config:
     named = path if path is not None else _named()
     if named is None:
         return Config()
-    try:
-        text = named.read_bytes()
-    except OSError as error:
-        raise BadInput(named, "", f"a configuration file, cannot be read: {error.strerror}") from None
+    text = read_bounded(named, MOST_BYTES, "a configuration file")
     try:
         return msgspec.toml.decode(text, type=Config)
     except msgspec.ValidationError as error:
@@ -179,8 +178,8 @@ def signing_key(path: str) -> bytes | None:
     if not path:
         return None
     try:
-        key = bytes.fromhex(Path(path).read_text(encoding="ascii").strip())
-    except (OSError, ValueError) as error:
+        key = bytes.fromhex(read_bounded(Path(path), MOST_BYTES, "64 hexadecimal digits").decode("ascii").strip())
+    except ValueError as error:
         raise BadInput(path, "", f"64 hexadecimal digits: {error}") from None
     if len(key) != 32:
         raise BadInput(path, "", f"64 hexadecimal digits, found {2 * len(key)}")

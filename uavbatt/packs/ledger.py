@@ -16,6 +16,7 @@ from types import TracebackType
 
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
+from uavbatt.files import no_file
 from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
@@ -183,8 +184,8 @@ def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHe
 def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
     if only_read and not path.exists():
         raise BadInput(path, "", "a pack ledger, found no such file")
-    if path.is_dir():
-        raise BadInput(path, "", "a pack ledger, found a directory")
+    if found := no_file(path):
+        raise BadInput(path, "", f"a pack ledger, found {found}")
     if not path.parent.is_dir():
         raise BadInput(path, "", "an existing folder to keep the pack ledger in")
     try:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
 STANDARD_INPUT = "-"
+MOST_BYTES = 2**32  # the largest file on the FAT32 card of an autopilot
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
@@ -84,9 +85,8 @@ def content_of(path: Path) -> tuple[str, Content]:
     """
     if str(path) == STANDARD_INPUT:
         return as_log("standard input", sys.stdin.buffer.read())
-    if path.is_dir():
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
+        _check_has_end(path)
         with path.open("rb") as file:
             head = file.peek()
             if is_packed(head):
@@ -98,6 +98,19 @@ def content_of(path: Path) -> tuple[str, Content]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
+
+
+def _check_has_end(path: Path) -> None:
+    """Raise BadInput for what cannot be read to an end in memory: a directory, a device, a file of enormous size."""
+    found = ""
+    if path.is_dir():
+        found = "a directory"
+    elif path.is_char_device() or path.is_block_device():
+        found = "a device"
+    elif path.is_file() and path.stat().st_size > MOST_BYTES:
+        found = f"a file of more than {MOST_BYTES >> 30} GiB"
+    if found:
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found {found}")
 
 
 def _binary(file: BufferedReader) -> Content:

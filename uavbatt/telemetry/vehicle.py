@@ -62,6 +62,21 @@ def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
     return fields.sys_status(message) if message_id == fields.SYS_STATUS else fields.battery2(message)
 
 
+def heard_twice(row: LiveRow, known: set[int], first_rows: dict[int, LiveRow]) -> list[LiveRow]:
+    """Return the row; nothing if it is the first of its battery, and both if it is the second.
+
+    known : the batteries that were heard twice; first_rows : the first rows of others. Both are updated.
+    """
+    if row.instance in known:
+        return [row]
+    first = first_rows.pop(row.instance, None)
+    if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
+        first_rows[row.instance] = row
+        return []
+    known.add(row.instance)
+    return [first, row]
+
+
 class Vehicle:
     """Vehicle takes the frames of one autopilot in order of reception, and gives the rows of its batteries."""
 
@@ -86,6 +101,8 @@ class Vehicle:
         self._log = LogBuilder(longest_step_s=math.inf)  # the clock is monotonic: a long step is a real gap
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
+        self._fallback_ids: set[int] = set()
+        self._unconfirmed_fallback: dict[int, LiveRow] = {}
         self._first_s: float | None = None
         self._sys_status_s = -math.inf
         self._alone_s = 0.0  # time of SYS_STATUS without BATTERY_STATUS of battery 0
@@ -208,17 +225,14 @@ class Vehicle:
             self.words[name.encode("latin-1")] = frame
 
     def _confirmed(self, row: LiveRow) -> list[LiveRow]:
-        """Return the row; nothing if it is the first of its battery, and both if it is the second."""
-        if row.instance in self.battery_ids:
-            return [row]
-        first = self._unconfirmed.pop(row.instance, None)
-        if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
-            self._unconfirmed[row.instance] = row
-            return []
-        self.battery_ids.add(row.instance)
+        """Return the rows of BATTERY_STATUS that count from now on, and drop held rows of the same battery."""
+        found = heard_twice(row, self.battery_ids, self._unconfirmed)
+        if len(found) < 2:
+            return found
+        first, _ = found
         is_completed = first.sample.cell_voltages_V and not row.sample.cell_voltages_V
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [row] if is_completed else [first, row]  # the first row lacks the same cells
+        return [row] if is_completed else found  # the first row lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """Return rows of SYS_STATUS or BATTERY2 once it is clear that no BATTERY_STATUS comes for the battery."""
@@ -235,8 +249,8 @@ class Vehicle:
         if self._first_s is None:
             self._first_s = time_s
         row = self._row(time_s, battery)
-        if row is not None and len(self._held) < MOST_HELD:
-            self._held.append(row)
+        found = [] if row is None else heard_twice(row, self._fallback_ids, self._unconfirmed_fallback)
+        self._held += found[: MOST_HELD - len(self._held)]
         return self._released(time_s)
 
     def _released(self, time_s: float) -> list[LiveRow]:

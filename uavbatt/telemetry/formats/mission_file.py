@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from uavbatt.errors import BadInput, misread
+from uavbatt.files import read_bounded
 from uavbatt.navigation import NAN, Home, Mission
 from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.commands import Fields
@@ -73,22 +74,11 @@ class _Plan(msgspec.Struct):
 
 def read_mission(path: str | Path) -> PlannedFlight:
     """Read a mission file. Raises BadInput for a file that is none, or a mission that is not understood."""
-    data = _content(Path(path))
+    data = read_bounded(Path(path), LARGEST_BYTES, KIND)
     planned = _plan(path, data) if data.lstrip().startswith(b"{") else _waypoints(path, data)
     if planned.mission.reason:
         raise BadInput(path, "", f"a mission that is understood: {planned.mission.reason}")
     return planned
-
-
-def _content(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
-    if len(data) > LARGEST_BYTES:
-        raise BadInput(path, "", f"{KIND}, found a file of more than {LARGEST_BYTES // 1_000_000} MB")
-    return data
 
 
 def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
