@@ -48,7 +48,7 @@ class UsageError(UavbattError):
 
 
 class CapacityNotStated(UsageError):
-    """Neither the caller nor the vehicle nor the battery file states the capacity of the pack."""
+    """CapacityNotStated says that neither caller nor vehicle nor battery file states the capacity of the pack."""
 
 
 def check_path(argument: str, value: object, expected: str = "the path of a file") -> None:

@@ -55,8 +55,12 @@ def diagnose(
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
-    without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
-    gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", help="Effect to leave out; may be repeated.")
+    ] = None,
+    gate: Annotated[
+        Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests that gate the extended file.")
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
     report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,

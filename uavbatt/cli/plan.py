@@ -44,14 +44,16 @@ if TYPE_CHECKING:
 def plan(
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[float | None, typer.Option("--power-w", help="Mean power of the flight [W].")] = None,
-    like: Annotated[Path | None, typer.Option("--like", help="A past log, whose load is flown again.")] = None,
+    like: Annotated[Path | None, typer.Option("--like", help="A past log: its load is flown again.")] = None,
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
     mission: Annotated[
         Path | None, typer.Option("--mission", help="With --vehicle: does this .waypoints or .plan file fit?")
     ] = None,
-    wind: Annotated[str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG [m/s], as 6@270.")] = None,
+    wind: Annotated[
+        str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG, 6@270 is 6 m/s from west.")
+    ] = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[
         float, typer.Option("--start-soc", min=0.01, max=1.0, help="State of charge at take-off, 0..1.")
@@ -67,7 +69,7 @@ def plan(
     report: ReportOption = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
-    """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature.
+    """Work out the endurance before take-off, or whether a mission fits; with a table over ambient temperature.
 
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
