@@ -3,8 +3,9 @@
 A voltage that leaps between two rows is not used until a second row repeats it. A temperature that a cell cannot have,
 or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
 the model would overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a
-fault of the sensor, or the voltage is late. A current that is missing for up to 5 s is held. Without a current sensor the current is
-worked out from the power that the operator stated, or from a typical power, and the filter gives it a wide error.
+fault of the sensor, or the voltage is late. A current that is missing for up to 5 s is held. Without a current sensor
+the current is worked out from the power that the operator stated, or from a typical power, and the filter gives it a
+wide error.
 """
 
 from __future__ import annotations
