@@ -9,7 +9,8 @@ SYS_STATUS is used for battery 0 (BATTERY2 for 1) only if no BATTERY_STATUS come
 FALLBACK_AFTER_S and then released. If battery 0 is the only one, they count again after ALONE_AFTER_S without its
 BATTERY_STATUS. The first row of a battery waits for the second one: one damaged frame in 65 536 has a good checksum,
 and must not make a battery that does not exist. PARAM_VALUE of an integer waits for the first heartbeat, because PX4
-sends the bits of an integer and ArduPilot its value.
+sends the bits of an integer and ArduPilot its value. An armed vehicle is disarmed when two heartbeats in a row say so:
+a damaged one must not end a flight.
 """
 
 from __future__ import annotations
@@ -97,6 +98,7 @@ class Vehicle:
         self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
+        self._said_armed = False  # what the heartbeat before said
         self.lateness = Lateness()
         self._log = LogBuilder(longest_step_s=math.inf)  # the clock is monotonic: a long step is a real gap
         self._held: list[LiveRow] = []
@@ -177,7 +179,9 @@ class Vehicle:
     ) -> list[LiveRow]:
         """Return the rows that a message of the autopilot completes; `battery` is the battery reading in it, if any."""
         if message_id == fields.HEARTBEAT:
-            self._log.armed, self._beat_s = fields.is_armed(message), time_s
+            says_armed = fields.is_armed(message)
+            self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
+            self._said_armed, self._beat_s = says_armed, time_s
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
             self.route.take(time_s, message_id, message)
             self.words[b"heartbeat"] = frame

@@ -29,7 +29,7 @@ from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.vehicle import ALONE_AFTER_S, LONGEST_ALONE_S
+from uavbatt.telemetry.vehicle import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -67,7 +67,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
         log.identity = _identity(own, chosen, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
-    beats = _beats(own)
+    beats = _beats(own, time_s)
     _add_parameters(own, time_s, beats, log)
     _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
@@ -124,11 +124,13 @@ def _identity(own: FrameTable, source: int, first_s: float) -> Identity:
     return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
 
 
-def _beats(own: FrameTable) -> _Beats:
+def _beats(own: FrameTable, time_s: Column) -> _Beats:
     place = own.places(fields.HEARTBEAT)
     payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
     is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
-    return _Beats(place, tlog_payloads.heartbeats(payloads, fields.is_armed), is_px4)
+    said = tlog_payloads.heartbeats(payloads, fields.is_armed)
+    is_soon = np.diff(time_s[place], prepend=-math.inf) <= BEATING_S  # as in flight: two in a row disarm
+    return _Beats(place, said | (np.roll(said, 1) & is_soon), is_px4)
 
 
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
