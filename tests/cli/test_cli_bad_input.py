@@ -75,7 +75,7 @@ SLIPS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
     (("--load", "nonsense"), 2, ("--load nonsense", "recent", "watts")),
     (("--load", "-5"), 2, ("--load -5", "positive")),
     (("--battery", "lipo-genric"), 1, ("lipo-genric", "lipo-generic")),
-    (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "exists")),
+    (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "found no file")),
     (("--instance", "7"), 2, ("no battery instance 7", "0")),
     (("--cutoff-voltage", "-3"), 2, ("--cutoff-voltage", "positive")),
     (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),

@@ -132,7 +132,7 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
     killer.join(PATIENCE_S)
     os.close(held)
     assert (rows[1].status, rows[2].status) == (LOST, "ok")
-    assert "the worker died on it" in rows[1].reason
+    assert "the worker ended while it read this log" in rows[1].reason
 
 
 def test_a_worker_that_takes_too_much_memory_is_ended(waiting: LogFile) -> None:

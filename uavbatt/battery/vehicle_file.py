@@ -94,7 +94,7 @@ def read_vehicle(path: str | Path) -> VehicleFile:
     """Read and check a vehicle file; raises BadInput with the file and the place."""
     source = Path(path)
     if not source.exists():
-        raise BadInput(path, "", "a vehicle file that exists")
+        raise BadInput(path, "", "a vehicle file, found no file of this name")
     return _checked(read_bounded(source, MOST_BYTES, "a vehicle file"), path)
 
 

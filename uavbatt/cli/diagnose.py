@@ -93,7 +93,7 @@ def diagnose(
 
         if gate is not None or output is not None:
             raise UsageError(
-                "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
+                "--follow: expected neither --gate nor -o: it finds when an effect began and writes no battery file"
             )
         options = FollowOptions(instance, tuple(without or ()), packs, pack)
         follow_and_tell(sources, content, stated, options, json_file, report)

@@ -171,7 +171,7 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
         say(f"  {count:5d}  {reason}")
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
-        raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+        raise UavbattError(f"none of {logs} logs could be replayed, the reasons are in {folder / CSV}")
 
 
 def _column(name: str) -> str:

@@ -101,7 +101,7 @@ def open_memory(packs: Path | None, pack: str = "", *, only_read: bool = False) 
     """Open the ledger that the options name, for a block. Raises UsageError for a name without a ledger."""
     if packs is None:
         if pack:
-            raise UsageError(f"--pack {pack}: expected --packs FILE as well, the ledger that remembers it")
+            raise UsageError(f"--pack {pack}: expected --packs FILE as well, the file of the pack ledger")
         yield PackMemory(None)
         return
     from uavbatt.packs.ledger import Ledger

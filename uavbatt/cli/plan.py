@@ -78,11 +78,11 @@ def plan(
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
-        raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
+        raise UsageError("the power is not known: expected exactly one of --power-w W, --like LOG, --vehicle FILE")
     if mission is not None and vehicle is None:
-        raise UsageError("--mission: expected with --vehicle FILE, which says what this aircraft asks in each leg")
+        raise UsageError("--mission: expected --vehicle FILE as well, the powers that this aircraft needs in each leg")
     if wind is not None and mission is None:
-        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
     check_writable(report, summary, reads=(like, vehicle, mission, packs))
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)

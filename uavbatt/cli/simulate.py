@@ -67,7 +67,7 @@ def simulate(
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
-        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
     route = _route(mission, wind) if mission is not None else None
     content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series

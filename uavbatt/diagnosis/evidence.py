@@ -109,7 +109,7 @@ def idle_A(evidence: Evidence) -> float:
 def check_records(records: list[Observed]) -> None:
     """Raise NotEnoughData, with the reason, when the records cannot tell effects apart."""
     if not records:
-        raise NotEnoughData("no record has a measured current: nothing can be traced without it")
+        raise NotEnoughData("no record has a measured current, and diagnose needs one")
     sizes = {(r.cells, round(r.capacity_Ah, 2)) for r in records}
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q in sorted(sizes))
@@ -123,7 +123,7 @@ def check_records(records: list[Observed]) -> None:
             f"charge: expected at least {LEAST_RECORDS}, to show that what is found is the same in each"
         )
     if _change(useful) < LEAST_CHANGE:
-        raise NotEnoughData("the load is constant: expected changes of current, or nothing can be told apart")
+        raise NotEnoughData("the load is constant: expected changes of current, because causes look alike without them")
 
 
 def _long_enough(record: Observed) -> bool:

@@ -154,7 +154,7 @@ def checked(config: Config) -> Config:
         if kind in config.feed.kinds and not config.link.gcs:
             raise UsageError(f"feed {kind}: expected --gcs ENDPOINT, where the ground station is")
     if config.packs.name and not config.packs.file:
-        raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the ledger that remembers it")
+        raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the file of the pack ledger")
     if config.http.listen:
         host, _ = address(config.http.listen)
         if host not in LOOPBACK and len(config.http.token) < 8:

@@ -57,7 +57,7 @@ class Planned:
         found = path(self.mission, self.home, self.settings)
         if found.reason or not found.lands:
             raise UsageError(
-                f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
+                f"{self.mission.source}: {found.reason or 'it loiters without end, and its landing time is not known'}"
             )
         way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
         flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
@@ -236,4 +236,4 @@ def _speeds_remark(planned: Planned) -> str:
         "return height": settings.return_height_m, "landing": settings.land_ms,
     }  # fmt: skip
     missing = [name for name, value in unknown.items() if not math.isfinite(value)]
-    return f"nothing says the speed of {', '.join(missing)}: ArduCopter's defaults" if missing else ""
+    return f"ArduCopter's defaults are used for {', '.join(missing)}" if missing else ""

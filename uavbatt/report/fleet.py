@@ -83,7 +83,7 @@ def _is_grown(found: Change | None) -> bool:
 def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
     failed = sum(found.failures.values())
     if failed and not found.flights:
-        nothing = f"None of {counted(failed, 'log')} could be flown: this fleet is not known. The reasons are below."
+        nothing = f"None of {counted(failed, 'log')} could be replayed: this fleet is not known. The reasons are below."
         return element("div", paragraph(nothing), css="answer bad")
     hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
     lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""

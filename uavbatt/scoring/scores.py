@@ -154,7 +154,7 @@ def score_flight(
     if np.any(np.diff(table[0]) < 0.0):
         raise ValueError(f"{name}: expected forecast lines in the order of time")
     if not math.isfinite(end_s) or table.shape[1] == 0:
-        raise ValueError(f"{name}: expected a finite end and forecast lines before it, got end_s = {end_s}")
+        raise ValueError(f"{name}: expected a finite end and forecast lines before it, found end_s = {end_s}")
     lines = ForecastLines(table[0], table[1:4], interval)
     begin_s = float(table[0, 0]) if start_s is None else start_s
     truth_s = end_s - lines.time_s

@@ -94,7 +94,7 @@ def route_flight(
     mission = dataclasses.replace(_with_home_item(mission, home), return_reason="")  # this one has no rally points
     way: Path = path(mission, home, settings or return_settings(PARAMETERS))
     if way.reason or not way.lands:
-        raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
+        raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end, and never lands'}")
     times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
     return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
