@@ -63,7 +63,7 @@ def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
 
 
 def no_file(path: Path) -> str:
-    """Return what a path names in words, if that is there and is no file; empty otherwise."""
+    """Return "a directory" or "a device or a pipe" for a path that names one; empty otherwise."""
     if not path.exists() or path.is_file():
         return ""
     return "a directory" if path.is_dir() else "a device or a pipe"

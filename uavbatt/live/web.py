@@ -157,7 +157,7 @@ def _refusal(request: Any, host: str, token: str) -> tuple[str, int] | None:
 
 
 def _is_fresh(board: Board, now_s: float) -> bool:
-    """Return True if the battery that speaks for the vehicle is known now."""
+    """Return True if the first report (of the battery that speaks for the vehicle) is not stale."""
     return bool(board.reports) and not board.reports[0].is_stale(now_s)
 
 

@@ -64,5 +64,5 @@ def in_air(run: Sequence[ReplayedRow]) -> InAir:
 
 
 def _is_current_doubted(row: ReplayedRow) -> bool:
-    """Return True if the monitor takes the current of this row for that of a stuck or dead sensor."""
+    """Return True if the monitor doubts the current of this row (stuck or dead sensor)."""
     return any(kind_of(warning) in DOUBTED for warning in row.estimate.warnings)

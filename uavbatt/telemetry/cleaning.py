@@ -20,8 +20,11 @@ from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_
 
 LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0
-LEAP_C = 3.0  # a change of the current to which a voltage answers that is no more than rounded and noisy
-ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # for each C: the best packs that fly answer with three times this share
+LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
+ANSWER_SHARE, ANSWER_WITHIN_S = (
+    0.0004,
+    2.0,
+)  # a share of the voltage for each C: the best packs show three times as much
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
@@ -44,7 +47,7 @@ class Cleaner(NamedTuple):
     current_A: float = NAN
     current_s: float = NAN
     current_V: float = NAN  # the voltage with that current
-    leapt_s: float = NAN  # since then the current has leapt and the voltage has not answered
+    leapt_s: float = NAN  # time of a leap of the current that the voltage has not shown yet
     metered: bool = False
     first_s: float = NAN
     guessed: bool = False  # the current is worked out from a power
@@ -122,7 +125,7 @@ class Cleaner(NamedTuple):
         return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
 
     def _with_read(self, sample: Sample, capacity_Ah: float) -> tuple[Cleaner, float]:
-        """Take a current in that was read; returns it [A], or the one before while the voltage does not answer it."""
+        """Take a current in that was read; return it [A], or the last one while the voltage does not show its leap."""
         read_A, time_s = sample.current_A, sample.time_s
         leap_C = (read_A - self.current_A) / capacity_Ah
         if time_s - self.current_s <= LEAP_WITHIN_S and abs(leap_C) > LEAP_C and math.isfinite(self.current_V):

@@ -101,7 +101,7 @@ def content_of(path: Path) -> tuple[str, Content]:
 
 
 def _check_has_end(path: Path) -> None:
-    """Raise BadInput for what cannot be read to an end in memory: a directory, a device, a file of enormous size."""
+    """Raise BadInput for a directory, a device or a file that is too large for the memory."""
     found = ""
     if path.is_dir():
         found = "a directory"

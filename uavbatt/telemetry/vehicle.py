@@ -64,7 +64,7 @@ def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
 
 
 def heard_twice(row: LiveRow, known: set[int], first_rows: dict[int, LiveRow]) -> list[LiveRow]:
-    """Return the row; nothing if it is the first of its battery, and both if it is the second.
+    """Return the rows to use: none at the first row of a battery, both rows at its second, then each row.
 
     known : the batteries that were heard twice; first_rows : the first rows of others. Both are updated.
     """
@@ -98,7 +98,7 @@ class Vehicle:
         self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
-        self._said_armed = False  # what the heartbeat before said
+        self._said_armed = False  # by the last heartbeat
         self.lateness = Lateness()
         self._log = LogBuilder(longest_step_s=math.inf)  # the clock is monotonic: a long step is a real gap
         self._held: list[LiveRow] = []

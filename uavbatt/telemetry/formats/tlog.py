@@ -129,7 +129,7 @@ def _beats(own: FrameTable, time_s: Column) -> _Beats:
     payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
     is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
     said = tlog_payloads.heartbeats(payloads, fields.is_armed)
-    is_soon = np.diff(time_s[place], prepend=-math.inf) <= BEATING_S  # as in flight: two in a row disarm
+    is_soon = np.diff(time_s[place], prepend=-math.inf) <= BEATING_S  # as in flight: two heartbeats in a row disarm
     return _Beats(place, said | (np.roll(said, 1) & is_soon), is_px4)
 
 
