@@ -75,13 +75,13 @@ def plain_reason(claim: Claim) -> str:
 
 
 def _known(found: re.Match[str]) -> str:
-    return f"uncertain by {found['is']} of itself (at most {found['most']} was declared)"
+    return f"uncertain by {found['is']} (at most {found['most']} was declared)"
 
 
 def _within(claim: Claim, found: re.Match[str]) -> str:
     limit, count = found["limit"], int(found["count"])
     where = f" at all {count} checked instants" if count > 1 else ""
-    return f"the error is within ±{limit} {claim.unit}{where}, its uncertainty counted in"
+    return f"the error is within ±{limit} {claim.unit}{where}, including its uncertainty"
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
@@ -122,7 +122,7 @@ def _span(ambients_C: Sequence[float]) -> str:
 def findings_list(findings: Sequence[Finding]) -> list[Html]:
     """List the findings in their order, each with its evidence; many notes are folded behind the others."""
     if not findings:
-        return [paragraph("Nothing in the tests speaks against them.")]
+        return [paragraph("No fault was found in the tests.")]
     notes = [f for f in findings if f.severity == "note"]
     if len(notes) < FOLDED_NOTES:
         return [_findings(findings)]
@@ -225,14 +225,14 @@ def budget_table(claim: Claim, budget: Budget) -> Html:
     last = len(at) + 1
     used = (np.abs(claim.bias) + claim.half_width) / claim.limit
     body += [
-        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows as if they stood alone"),
-        ("combined", *(number(u * scale, d) for u in budget.combined), "all rows, in squares"),
+        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows alone"),
+        ("combined", *(number(u * scale, d) for u in budget.combined), "root of the sum of squares of all rows"),
         (
             "half width",
             *(number(h * scale, d) for h in budget.expanded),
             f"one-sided 95 % over all instants, t up to {budget.coverage:.2f}",
         ),
-        ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model less tests"),
+        ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model − tests"),
         ("part of the limit used", *(_percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
     ]
     caption = f"{claim.claim}, {celsius(claim.ambient_C)}; standard uncertainties in {unit}"
