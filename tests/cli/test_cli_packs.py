@@ -34,7 +34,7 @@ def test_one_line_a_pack_with_its_outlook(run, ledger):
     assert first.startswith("A ")
     assert "retire in about" in first
     assert second.startswith("B ")
-    assert "no end in sight" in second
+    assert "stays above 80%" in second
 
 
 def test_json_and_page(run, ledger, tmp_path):

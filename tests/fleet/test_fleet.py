@@ -95,7 +95,7 @@ def test_end_to_end_with_bad_logs_and_again(logs: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     first = call(logs, "-o", output, "--workers", "2")
     assert first.returncode == 0, first.stderr
-    assert "4 logs (4 done now): 2 flown, 2 could not be" in first.stdout
+    assert "4 logs (4 done now): 2 replayed, 2 failed" in first.stdout
     rows = {Path(row["file"]).name: row for row in both_tables(output)}
     assert {name: row["status"] for name, row in rows.items()} == {
         "1.tlog": "ok", "2.tlog": "ok", "broken.tlog": "bad", "empty.BIN": "bad",
@@ -113,7 +113,7 @@ def test_end_to_end_with_bad_logs_and_again(logs: Path, tmp_path: Path) -> None:
     (logs / "swift/empty.BIN").write_bytes((logs / "swift/2.tlog").read_bytes())
     words = (f"{logs}/**/*.tlog", logs / "swift/empty.BIN", "-o", output, "--workers", "1")
     again = called("fleet", *words, folder=tmp_path)  # without another process to be started
-    assert "4 logs (1 done now): 3 flown, 1 could not be" in again.stdout
+    assert "4 logs (1 done now): 3 replayed, 1 failed" in again.stdout
     assert len(both_tables(output)) == 4
 
 

@@ -128,7 +128,7 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
         for one in finished:
             count += one.row is not None
             if one.dropped:
-                remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are flown again")
+                remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are replayed again")
             show(one)
     return count
 
@@ -166,7 +166,7 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
     remarks = (("logs", f"{logs}; {flown} of them read in this run, the others in an earlier one"),)
     write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
-    say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
+    say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} replayed, {failed} failed")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
         say(f"  {count:5d}  {reason}")
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")

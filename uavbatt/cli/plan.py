@@ -137,7 +137,7 @@ def _lines(plan: Plan) -> list[str]:
     resolved, here = plan.resolved, plan.here
     lines = [
         f"{resolved.battery} ({resolved.status}): {resolved.words}",
-        f"  load       {plan.load}; state of charge {plan.start_soc:g} at take-off",
+        f"  load       {plan.load}; charge {plan.start_soc:.0%} at take-off",
         *(f"  warning    {warning}" for warning in plan.warnings),
         f"  at {here.ambient_C:g} °C: {_headline(here)}",
         f"  {'ambient':>8}  {'median':>8}  {'5 %':>8}  {'95 %':>8}",

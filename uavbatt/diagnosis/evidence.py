@@ -120,7 +120,7 @@ def check_records(records: list[Observed]) -> None:
     if len(useful) < LEAST_RECORDS and (not useful or not np.isfinite(useful[0].ambient_C)):
         raise NotEnoughData(
             f"{len(useful)} of {len(records)} records last {SHORTEST_S:.0f} s and draw {LEAST_DRAWN:.0%} of the "
-            f"charge: expected at least {LEAST_RECORDS}, to show that what is found is the same in each"
+            f"charge: expected at least {LEAST_RECORDS}, to check that each shows the same"
         )
     if _change(useful) < LEAST_CHANGE:
         raise NotEnoughData("the load is constant: expected changes of current, because causes look alike without them")

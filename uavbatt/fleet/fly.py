@@ -94,7 +94,7 @@ def read(log: LogFile, job: Job) -> Flight:
 
 
 def bad_row(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
-    """Return the row of a log that could not be flown."""
+    """Return the row of a log that could not be replayed."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
