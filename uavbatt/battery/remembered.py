@@ -192,5 +192,5 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
     tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that the text does not change with every per cent
-    direction, causes = ("more", CAUSES) if apart > 0.0 else ("fewer", ANOTHER)
-    return f"about {tens}% {direction} ohms than remembered of this pack: {causes}"
+    direction, causes = ("more", CAUSES) if apart > 0.0 else ("less", ANOTHER)
+    return f"about {tens}% {direction} resistance than remembered of this pack: {causes}"

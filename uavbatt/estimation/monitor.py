@@ -55,7 +55,7 @@ FAR_OFF = Notice(
 )
 SMALL = Notice("this pack holds less than stated: aged or smaller, or a current sensor that reads low", Kind.SMALL_PACK)
 LARGE = Notice("this pack holds more than stated: a larger one, or a current sensor that reads high", Kind.LARGE_PACK)
-MANY_OHMS = Notice("this pack has the ohms of a far smaller one than stated, or a bad contact", Kind.MANY_OHMS)
+MANY_OHMS = Notice("this pack has the resistance of a far smaller one than stated, or a bad contact", Kind.MANY_OHMS)
 
 
 class Innovations(NamedTuple):

@@ -34,7 +34,9 @@ def remarks(
     if pack.sag_compensated:
         found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
     if is_metered and battery.is_measured and is_worn(known, battery):
-        found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
+        found.append(
+            "this pack has more resistance than its type: aged, or colder than it says; less charge is expected"
+        )
     return tuple(found)
 
 

@@ -35,9 +35,11 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
-JUST_TAKEN_OFF = Notice("the load has just come", Kind.JUST_TAKEN_OFF)
-NO_BELIEF = Notice("no belief about the pack yet", Kind.NO_BELIEF)
-BEYOND_SIX_HOURS = Notice("the end may lie beyond six hours: the load is not that of a flight", Kind.BEYOND_SIX_HOURS)
+JUST_TAKEN_OFF = Notice("the load has just begun", Kind.JUST_TAKEN_OFF)
+NO_BELIEF = Notice("no estimate of the pack yet", Kind.NO_BELIEF)
+BEYOND_SIX_HOURS = Notice(
+    "the end may be more than six hours away: this is not the load of a flight", Kind.BEYOND_SIX_HOURS
+)
 SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
 # Number of steps to the typical end, and the longest step [s]. Gusts must be simulated one by one: with steps of 15 s
 # worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.

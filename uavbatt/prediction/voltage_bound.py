@@ -44,7 +44,7 @@ FALLS_FASTER = Notice(
     Kind.FALLS_FASTER,
 )
 AT_CUTOFF = "the pack is at its cut-off"
-NO_END = Notice("no end in sight: the charge believed and the load do not fit", Kind.NO_END)
+NO_END = Notice("no end found: the estimated charge and the load do not fit", Kind.NO_END)
 
 
 class FallBin(NamedTuple):
