@@ -22,10 +22,10 @@ from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, probl
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, trial
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
-Right = Callable[[Observed], Observed]
+Right = Callable[[ObservedRecord], ObservedRecord]
 
 
 def gain(size: float) -> Right:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.telemetry import read_log
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Flown:
         inside: Array = np.interp(soc, knots, volts) + low * np.minimum(soc - knots[0], 0.0)
         return inside
 
-    def observed(self) -> Observed:
+    def observed(self) -> ObservedRecord:
         """Return the flight as diagnosis takes it, up to the end of flight."""
         width = int(BELOW_S / np.median(np.diff(self.time_s)))
         mean_V = np.convolve(self.voltage_V, np.ones(width) / width, mode="same")
@@ -60,7 +60,7 @@ class Flown:
         end = under[0] if under.size and under[0] < self.time_s.size - 2 * width else self.time_s.size
         columns = (self.time_s, self.voltage_V, self.current_A, self.temp_C)
         time_s, voltage_V, current_A, temp_C = (c[:end] for c in columns)
-        return Observed(self.name, time_s, voltage_V, current_A, temp_C, float("nan"), CELLS, CAPACITY_AH)
+        return ObservedRecord(self.name, time_s, voltage_V, current_A, temp_C, float("nan"), CELLS, CAPACITY_AH)
 
 
 Change = Callable[[Flown], Flown]

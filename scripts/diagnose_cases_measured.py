@@ -27,7 +27,7 @@ from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import RecordedPack, fit_battery
-from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
@@ -76,7 +76,7 @@ def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float
     )
 
 
-def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutoff_V: float) -> str:
+def row(name: str, model: str, records: list[ObservedRecord], file: BatteryFile, cutoff_V: float) -> str:
     """Return one line of the table: the diagnosis of the records, each left out in turn for the error."""
     pack = pack_from(file, PackOptions(records[0].cells, records[0].capacity_Ah, cutoff_V))
     try:
@@ -112,7 +112,7 @@ def study() -> None:
     print("\n" + "\n".join(f"- {said}" for said in loop.conclusions))
 
 
-def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
+def enertech_records(rates: tuple[str, ...]) -> list[ObservedRecord]:
     """Read discharges of the pouch cell at these C-rates."""
     records = []
     for rate in rates:
@@ -120,7 +120,7 @@ def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
         kept = slice(None, None, 5)
         temp_C = ENERTECH_AMBIENT_C + c.get("surface_rise_k", np.full(c["time_s"].size, np.nan))
         time_s, volts, amps, temp_C = (x[kept] for x in (c["time_s"], c["voltage_v"], c["current_a"], temp_C))
-        records.append(Observed(f"{rate}C", time_s, volts, amps, temp_C, ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
+        records.append(ObservedRecord(f"{rate}C", time_s, volts, amps, temp_C, ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
     return records
 
 
@@ -138,7 +138,7 @@ def enertech() -> None:
     print(row("Enertech pouch, 0.5 C and 1 C", "OCV at 0.1 C, one resistance", records, file, 3.0))
 
 
-def turnigy_records() -> list[Observed]:
+def turnigy_records() -> list[ObservedRecord]:
     """Read the drive cycle in PIECES of equal charge."""
     c = columns(DATA / "bench" / "turnigy_la92_25c.csv")
     current_A = c["current_a"] if float(np.mean(c["current_a"])) > 0.0 else -c["current_a"]
@@ -148,7 +148,7 @@ def turnigy_records() -> list[Observed]:
     for i in range(PIECES):
         part = slice(edges[i], edges[i + 1])
         time_s, volts, amps, temp_C = (x[part] for x in (c["time_s"], c["voltage_v"], current_A, c["surface_c"]))
-        records.append(Observed(f"piece {i + 1}", time_s, volts, amps, temp_C, 25.0, 1, TURNIGY_AH))
+        records.append(ObservedRecord(f"piece {i + 1}", time_s, volts, amps, temp_C, 25.0, 1, TURNIGY_AH))
     return records
 
 

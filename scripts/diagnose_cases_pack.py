@@ -14,7 +14,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.estimator import Engine
-from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.plausibility import MAX_CELL_C
@@ -45,11 +45,11 @@ def ready(path: Path) -> Ready:
     return Ready(file, pack_from(file, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True))
 
 
-def records(logs: list[Path]) -> list[Observed]:
+def records(logs: list[Path]) -> list[ObservedRecord]:
     """Read flights of the simulated pack."""
     return [from_flight(read_log(path), CELLS, CAPACITY_AH, hottest_start_C=MAX_CELL_C) for path in logs]
 
 
-def flights(folder: Path) -> list[Observed]:
+def flights(folder: Path) -> list[ObservedRecord]:
     """Read the flights of a case in the order of their names."""
     return records(sorted(path for path in folder.iterdir() if path.suffix in (".csv", ".tlog")))

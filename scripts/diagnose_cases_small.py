@@ -26,7 +26,7 @@ from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import RIVAL_SHARE
 from uavbatt.diagnosis.trial import FIRST_TURNS, Trial, trial
 from uavbatt.diagnosis.worth import Worth, at_bound
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 
 SHARES = (1.0, 0.5, 0.2, 0.0)  # of the errors that the file states
 FLIGHTS, ROUNDS, PASSES, SEATS = 3, 3, 0.02, 3
@@ -67,7 +67,7 @@ def main() -> int:
     given = parser.parse_args()
     file, pack, engine = ready(given.battery)
 
-    def tried(flown: list[Observed]) -> list[Single]:
+    def tried(flown: list[ObservedRecord]) -> list[Single]:
         problem = problem_of(flown, file, pack, engine.states)
         nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
         return singles(trial(problem, nothing, options_of(problem, file, ()), FIRST_TURNS))

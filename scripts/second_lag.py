@@ -38,7 +38,7 @@ from uavbatt.battery.effects import EFFECTS, Effect, Quantity
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
 from uavbatt.fitting import observed, prior, solve
-from uavbatt.fitting.observed import Observed, Stack, from_flight
+from uavbatt.fitting.observed import ObservedRecord, Stack, from_flight
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.solve import BatteryFit, OwnPrior
 from uavbatt.telemetry import read_log
@@ -61,10 +61,10 @@ class Part(NamedTuple):
     """A Part holds records to fit, how free each is, the effects that are fitted, and the records kept back."""
 
     name: str
-    fitted: list[Observed]
+    fitted: list[ObservedRecord]
     own: list[OwnPrior]
     effects: tuple[str, ...]
-    kept: list[Observed]
+    kept: list[ObservedRecord]
 
 
 def run_with_second(
@@ -134,7 +134,7 @@ def truth() -> Iterator[Part]:
     """Yield one part: bench tests and four flights of the porous-electrode pack; healthy flights kept back."""
     bench = observed.from_dataset(dataset.load(TRUTH / "lab"), TRUTH_AH)
 
-    def flights(name: str) -> list[Observed]:
+    def flights(name: str) -> list[ObservedRecord]:
         return [from_flight(read_log(p), TRUTH_CELLS, TRUTH_AH) for p in sorted((TRUTH / name).glob("*.tlog"))]
 
     own = [solve.SAMPLES] * len(bench) + [OwnPrior()] * 4

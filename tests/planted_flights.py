@@ -11,7 +11,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.battery.sizing import PackOptions, pack_from
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
 GENERIC = battery_file.read_battery("lipo-generic")
@@ -34,7 +34,7 @@ MISSIONS = ((25.0, 150.0, 1), (8.0, 170.0, 2), (35.0, 185.0, 3), (17.0, 140.0, 4
 SOC = np.linspace(-0.05, 1.05, 221)
 
 
-def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observed:
+def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> ObservedRecord:
     """One flight in plain floats at 1 Hz by explicit steps: the battery's equations, not the package's code."""
     say = effect.get
     p = cell_parameters(FILE)
@@ -70,4 +70,4 @@ def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observe
         if under_s > 10:
             break
     time_s, voltage_V, current_A, temp_C = np.array(rows).T
-    return Observed(f"flight {seed}", time_s, voltage_V, current_A, temp_C, math.nan, CELLS, CAPACITY_AH)
+    return ObservedRecord(f"flight {seed}", time_s, voltage_V, current_A, temp_C, math.nan, CELLS, CAPACITY_AH)

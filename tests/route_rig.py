@@ -14,7 +14,7 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import resolve
-from uavbatt.plan.mission import MissionPlan, Planned, make_route_plan
+from uavbatt.plan.mission import MissionPlan, PlannedMission, make_route_plan
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 
 POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
@@ -52,5 +52,5 @@ def planned(
     """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah."""
     battery = battery_file.read_battery("lipo-generic")
     size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
-    asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
+    asked = PlannedMission(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
     return make_route_plan(battery, size, asked, ambient_C, reserve_soc=reserve_soc, remembered=remembered)

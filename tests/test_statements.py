@@ -28,7 +28,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehicle
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
-from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
+from uavbatt.limits import OPTIONS, FirstVoltages, Resting, capacity_doubt, cells_doubt, check_stated, ending_doubt
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.log_replay.run import engine_for
@@ -125,12 +125,12 @@ def test_a_damaged_first_voltage_refuses_no_flight() -> None:
      (4, 17.9, True), (12, 16.8, True), (5, 15.2, True), (1, 4.2, None), (2, 4.2, True)],
 )  # fmt: skip
 def test_volts_a_cell_at_rest(cells: int, rested_V: float, certain: bool | None) -> None:
-    doubt = cells_doubt(cells, Seen(rested_V, rested_V), Resting(3.07, 3.65))
+    doubt = cells_doubt(cells, FirstVoltages(rested_V, rested_V), Resting(3.07, 3.65))
     assert (None if doubt is None else doubt.is_certain) is certain
 
 
 def test_under_load_a_low_voltage_denies_no_count() -> None:
-    assert cells_doubt(4, Seen(first_V=10.8), Resting()) is None
+    assert cells_doubt(4, FirstVoltages(first_V=10.8), Resting()) is None
 
 
 # --- cut-off, capacity, ambient temperature, of the caller -------------------------------------------------------
@@ -398,7 +398,7 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
 )
 def test_the_crew_hears_what_cannot_be(stated: dict[str, Any], parameters: dict[str, float], words: str) -> None:
     bench = live(parameters, PackOptions(**{"capacity_Ah": 5.0, **stated}))
-    assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.said]
+    assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.announcements]
 
 
 def test_live_says_what_capacity_was_not_used() -> None:

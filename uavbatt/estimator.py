@@ -26,7 +26,7 @@ from typing import NamedTuple
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
-from uavbatt.battery.known_size import KnownSize, nothing_seen
+from uavbatt.battery.known_size import KnownSize, before_any_row
 from uavbatt.battery.remembered import PackHealth, of_known_cells, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, PackSize, sized
@@ -34,7 +34,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.filter import NO_VOLTAGE, BeliefSummary, Filtered, SocFilter, estimate_of, unknown
+from uavbatt.estimation.filter import NO_VOLTAGE, BeliefSummary, FilterResult, SocFilter, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -44,7 +44,7 @@ from uavbatt.limits import Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
-from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
+from uavbatt.prediction.forecaster import Forecaster, ForecasterMemory, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
@@ -52,24 +52,24 @@ from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.cleaning import Cleaner
 
-__all__ = ["PLAIN", "Engine", "Estimator", "Past"]
+__all__ = ["PLAIN", "Engine", "Estimator", "EstimatorMemory"]
 
 LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
 
-class Past(NamedTuple):
-    """Past keeps the memory of an estimator beside its belief: the past of the flight, and the past of the sensors."""
+class EstimatorMemory(NamedTuple):
+    """EstimatorMemory holds what is saved beside the belief: the past of the flight, and the past of the sensors."""
 
-    forecaster: Memory
+    forecaster: ForecasterMemory
     cleaner: Cleaner
 
-    def moved(self, shift_s: float) -> Past:
+    def moved(self, shift_s: float) -> EstimatorMemory:
         """Return the same past on a clock that shows `shift_s` [s] more."""
-        return Past(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
+        return EstimatorMemory(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
 
 
-class Followed(NamedTuple):
-    """Followed holds the state of the pack that is estimated, from its first row on; another pack begins another."""
+class PackState(NamedTuple):
+    """PackState holds the state of the pack that is estimated, from its first row on; another pack begins another."""
 
     filter: SocFilter
     forecaster: Forecaster
@@ -100,12 +100,11 @@ class Estimator:
         self.battery, self.remembered, self.remembered_next = battery, remembered, remembered
         self.options = of_known_cells(options or PackOptions(), remembered)
         self.settings = settings or ForecastSettings()
-        self._followed: Followed | None = None
+        self._state: PackState | None = None
         load = self.settings.load
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
-        self._cleaner = Cleaner(stated_power_W=power_W)
-        self._known = nothing_seen(battery, self.options, stated_power(load))
-        self._engine = engine
+        self._cleaner, self._engine = Cleaner(stated_power_W=power_W), engine
+        self._known = before_any_row(battery, self.options, stated_power(load))
         self._in_flight: Window = partial(filter_window, condition=filterpy_condition())
 
     @classmethod
@@ -124,14 +123,14 @@ class Estimator:
         cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
         Raises UsageError for an impossible number, BadInput or Uncertified for a file that cannot be used.
         """
-        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, spelt=Names())
+        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, names=Names())
         file = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
         return cls(file, options, ForecastSettings(reserve_soc=reserve_soc))
 
     @property
     def belief(self) -> Belief | None:
         """Return the filter's belief after the last sample; None before the first complete one."""
-        return self._followed.filter.belief if self._followed is not None else None
+        return self._state.filter.belief if self._state is not None else None
 
     @property
     def pack_size(self) -> PackSize | None:
@@ -144,6 +143,7 @@ class Estimator:
         New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
         """
         if facts != self._known.facts:
+            self._cleaner = self._cleaner.with_facts(facts)
             self._know(self._known.with_facts(facts))
 
     def _know(self, known: KnownSize) -> None:
@@ -154,37 +154,37 @@ class Estimator:
         if now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
             self.remembered = None  # its flights were read with the curve of ordinary cells
         if before is not None and now.cell_kind != before.cell_kind:
-            self._followed = None
-        elif self._followed is not None:
-            self._followed.filter.pack = self._followed.forecaster.pack = self._pack(now)
+            self._state = None
+        elif self._state is not None:
+            self._state.filter.pack = self._state.forecaster.pack = self._pack(now)
 
     @property
-    def past(self) -> Past | None:
+    def past(self) -> EstimatorMemory | None:
         """Return the memory that is saved with the belief; None before the first sample."""
-        return Past(self._followed.forecaster.memory, self._cleaner) if self._followed is not None else None
+        return EstimatorMemory(self._state.forecaster.memory, self._cleaner) if self._state is not None else None
 
     def restore(
-        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None,
-        consumed_Ah: float = NAN,
+        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0,
+        past: EstimatorMemory | None = None, consumed_Ah: float = NAN,
     ) -> None:  # fmt: skip
         """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
-        self._cleaner = past.cleaner if past is not None else self._cleaner
-        self._followed = self._begun()._replace(swap=SwapWatch(belief.time_s, current_A, belief, 0.0, consumed_Ah))
-        self._followed.filter.restore(belief, current_A)
+        self._cleaner = (past.cleaner if past is not None else self._cleaner).with_facts(facts)
+        self._state = self._fresh_state()._replace(swap=SwapWatch(belief.time_s, current_A, belief, 0.0, consumed_Ah))
+        self._state.filter.restore(belief, current_A)
         if past is not None:
-            self._followed.forecaster.recall(past.forecaster)
+            self._state.forecaster.recall(past.forecaster)
 
     @property
     def flying_since_s(self) -> float:
         """Return the time of the row since which the pack carries the aircraft [s]; NaN on the ground."""
-        return self._followed.forecaster.flying_since_s if self._followed is not None else NAN
+        return self._state.forecaster.flying_since_s if self._state is not None else NAN
 
     def before_take_off(self, time_s: float) -> Forecast | None:
         """Return the endurance of a flight that began now [s], from the charge believed; None while unknown."""
-        if self.belief is None or self._followed is None:
+        if self.belief is None or self._state is None:
             return None
-        return self._followed.forecaster.before_take_off(self.belief, time_s)
+        return self._state.forecaster.before_take_off(self.belief, time_s)
 
     def step(self, sample: Sample, navigation: Navigation = NOWHERE) -> tuple[Estimate, Remaining]:
         """Take one sample in; returns the estimate and the remaining time after it.
@@ -212,32 +212,32 @@ class Estimator:
     ) -> Iterator[Pending]:
         """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
         cleaners, clean = self._cleaned(samples)
-        rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
+        rows, since = (self._state.filter.run(clean, filter_window) if self._state is not None else []), 0
         for k, (raw, self._cleaner, sample) in enumerate(zip(samples, cleaners, clean, strict=True)):
             if math.isnan(sample.time_s):
                 yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
                 continue
             self._know(self._known.after(raw, sample))
-            followed = self._followed
-            if followed is None or self._cleaner.guessed != followed.is_guessed:
-                refused = self._why_not_begin(sample)
+            state = self._state
+            if state is None or self._cleaner.guessed != state.is_guessed:
+                refused = self._refused_start(sample)
                 if refused is not None:
                     yield Pending(sample, refused, None, refused.reason)
                     continue
-                followed = self._begun()
-                rows, since = followed.filter.run(clean[k:], filter_window), k
+                state = self._fresh_state()
+                rows, since = state.filter.run(clean[k:], filter_window), k
             row = rows[k - since]
-            swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
+            swap = state.swap.after(sample, row.innovation, row.belief, state.filter.pack)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known, self.remembered = self._known.anew(), self.remembered_next
-                followed = self._begun()
-                rows, since = followed.filter.run(clean[k:], filter_window), k
-                row, swap = rows[0], followed.swap
-            yield self._forecast_for(followed, swap, sample, row, navigation_at(sample.time_s))
+                state = self._fresh_state()
+                rows, since = state.filter.run(clean[k:], filter_window), k
+                row, swap = rows[0], state.swap
+            yield self._forecast_for(state, swap, sample, row, navigation_at(sample.time_s))
 
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
-        cleaner, size = self._cleaner.told(self._known.facts), self._known.size or self._known.by_voltage(samples)
+        cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
         capacity_Ah = size.capacity_Ah if size is not None else math.inf
@@ -248,7 +248,7 @@ class Estimator:
             clean.append(sample)
         return cleaners, clean
 
-    def _why_not_begin(self, sample: Sample) -> Estimate | None:
+    def _refused_start(self, sample: Sample) -> Estimate | None:
         """Return the refused estimate of a row at which no filter may begin; None if one may."""
         if not math.isfinite(sample.voltage_V):
             return unknown(sample, NO_VOLTAGE)
@@ -256,20 +256,20 @@ class Estimator:
             return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
         return None
 
-    def _begun(self) -> Followed:
+    def _fresh_state(self) -> PackState:
         """Return the state of a pack before its first row; it keeps nothing of a pack before it."""
         assert self._known.size is not None
         pack = self._pack(self._known.size)
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
-        return Followed(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
+        return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
 
     def _forecast_for(
-        self, followed: Followed, swap: SwapWatch, sample: Sample, row: Filtered, navigation: Navigation
+        self, state: PackState, swap: SwapWatch, sample: Sample, row: FilterResult, navigation: Navigation
     ) -> Pending:
         """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
-        pack, forecaster, belief = followed.filter.pack, followed.forecaster, row.belief
+        pack, forecaster, belief = state.filter.pack, state.forecaster, row.belief
         found = estimate_of(sample, row, self._warnings(pack, sample, row.summary))
-        monitor = followed.monitor.after(sample, found, belief, pack)
+        monitor = state.monitor.after(sample, found, belief, pack)
         found = monitor.judged(found)
         if self._known.refusal:
             found = replace(found, status=Status.REFUSED, reason=self._known.refusal)
@@ -277,8 +277,8 @@ class Estimator:
             found = unmetered_estimate(found)
         forecaster.cell_spread_V = self._cleaner.cell_spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
-        bound = followed.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
-        self._followed = Followed(followed.filter, forecaster, followed.is_guessed, swap, monitor, bound)
+        bound = state.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
+        self._state = PackState(state.filter, forecaster, state.is_guessed, swap, monitor, bound)
         return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:

@@ -55,7 +55,7 @@ class Resting(NamedTuple):
     low_V: float = 3.5
 
 
-class Seen(NamedTuple):
+class FirstVoltages(NamedTuple):
     """Seen holds pack voltages [V] to compare statements with: of the first rows, and at rest; NaN until seen."""
 
     first_V: float = math.nan
@@ -77,18 +77,19 @@ OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltag
 
 
 def cells_doubt(
-    cells: int, seen: Seen, resting: Resting, drawn_Ah: float = 0.0, capacity_Ah: float = math.inf
+    cells: int, voltages: FirstVoltages, resting: Resting, drawn_Ah: float = 0.0, capacity_Ah: float = math.inf
 ) -> Doubt | None:
     """Return the doubt about a count of cells in series by the first voltages of a record; None if they allow it.
 
     drawn_Ah : charge drawn since [Ah], of the stated `capacity_Ah` [Ah]: a pack that rested nearly empty gives little.
     """
-    first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
+    first_V, rested_V = voltages.first_V / cells, voltages.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
-        words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
+        words = f"{voltages.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(voltages, LOWEST_CELL_V)}"
         return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.empty_V:
-        words = f"{seen.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {_expected_cells(seen, resting.empty_V)}"
+        expected = _expected_cells(voltages, resting.empty_V)
+        words = f"{voltages.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {expected}"
         return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.low_V:
         words = f"{_count(cells)} at {rested_V:.1f} V a cell at rest"
@@ -235,9 +236,9 @@ def _count(cells: int) -> str:
     return f"{cells} cell{'s' if cells > 1 else ''} in series"
 
 
-def _expected_cells(seen: Seen, lowest_V: float) -> str:
+def _expected_cells(voltages: FirstVoltages, lowest_V: float) -> str:
     """Say the bounds of a cell, and the fewest cells that the voltage fits."""
-    volts = seen.first_V if math.isnan(seen.rested_V) else seen.rested_V
+    volts = voltages.first_V if math.isnan(voltages.rested_V) else voltages.rested_V
     fewest = max(1, math.ceil(volts / FULLEST_CELL_V))
     return f"expected {lowest_V:.3g} to {HIGHEST_CELL_V:g} V before the load, as with {fewest}"
 

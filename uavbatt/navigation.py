@@ -118,7 +118,6 @@ class ReturnSettings:
     return_final_m: float = NAN  # height above home at the end; 0 lands
     land_ms: float = NAN
     land_slow_below_m: float = NAN
-    accept_m: float = NAN
     land_fast_ms: float = NAN  # from above home down to land_slow_below_m; NaN: descent_ms
     return_climb_min_m: float = NAN  # climbs at least so much before it returns (RTL_CLIMB_MIN)
     return_cone_slope: float = NAN  # climbs no higher than so many metres a metre of distance home; 0 or NaN: no cone

@@ -23,7 +23,7 @@ from uavbatt.battery.state_space import X
 from uavbatt.estimation.filter import SocFilter, estimate_of
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import LoggedLoad, Now, RecentLoad
+from uavbatt.prediction.load import FlightPoint, LoggedLoad, RecentLoad
 from uavbatt.prediction.time_to_end import time_to_end
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
@@ -81,7 +81,7 @@ def _sds(draws: FloatArray, truth: float) -> float:
 def _variants(q: Question, logged: LoggedLoad, soc: float, log_capacity: float) -> Iterator[tuple[str, FloatArray]]:
     """Return the ends of the draws [s], with one doubt less in each variant."""
     yield "as it is", _ends(q)
-    now = Now(
+    now = FlightPoint(
         q.time_s, since_take_off_s=0.0, soc=soc, flight_W=0.0, recent=RecentLoad()
     )  # a log asks for the time alone
     one_W = logged.scenarios(now, float(q.dt_s[0]), q.dt_s.size).power_W

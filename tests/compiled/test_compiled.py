@@ -21,7 +21,7 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.compiled import cache as compiled_cache
-from uavbatt.estimation.filter import Filtered, SocFilter
+from uavbatt.estimation.filter import FilterResult, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
 from uavbatt.estimator import PLAIN, Engine, Estimator
@@ -81,7 +81,7 @@ def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
             np.testing.assert_allclose(quick.belief.mean, plain.belief.mean, rtol=1e-5, atol=1e-5)
 
 
-def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[Filtered, Filtered]]:
+def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[FilterResult, FilterResult]]:
     """The filter after each row as the twin has it, in two windows, and as filterpy has it."""
     plain, twin = SocFilter(pack, capacities=members), SocFilter(pack, capacities=members)
     cut, window = len(samples) // 3, compiled.engine().filter_window

@@ -15,18 +15,18 @@ from planted_flights import FILE, MISSIONS, PACK, fly
 from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for
 
 LAG_S = 20.0  # of the sensor, in the file
 LEAST = 2  # flights that a diagnosis takes: its work grows with their rows
 
 
-def flights(count: int = LEAST, **effect: float) -> list[Observed]:
+def flights(count: int = LEAST, **effect: float) -> list[ObservedRecord]:
     return [fly(*mission, **effect) for mission in MISSIONS[:count]]
 
 
-def found(records: list[Observed], *without: str) -> Diagnosis:
+def found(records: list[ObservedRecord], *without: str) -> Diagnosis:
     return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))
 
 
@@ -36,7 +36,7 @@ def diagnosed(count: int = LEAST, **effect: float) -> Diagnosis:
 
 
 @pytest.fixture(scope="module")
-def clean() -> list[Observed]:
+def clean() -> list[ObservedRecord]:
     return flights()
 
 
@@ -135,19 +135,19 @@ def test_what_predicts_held_out_records_worse_is_said_and_stands_in_the_new_file
     assert any("worse" in remark for remark in remarks) == bool(said)
 
 
-def _without_current(r: Observed) -> Observed:
+def _without_current(r: ObservedRecord) -> ObservedRecord:
     return replace(r, current_A=np.zeros_like(r.current_A))
 
 
-def _steady(r: Observed) -> Observed:
+def _steady(r: ObservedRecord) -> ObservedRecord:
     amps = np.where(r.time_s < 20.0, 0.3, 10.0)
     return replace(r, current_A=amps)
 
 
-def _short(r: Observed) -> Observed:
+def _short(r: ObservedRecord) -> ObservedRecord:
     keep = r.time_s < 150.0
     columns = (r.time_s, r.voltage_V, r.current_A, r.temp_C)
-    return Observed(r.name, *(c[keep] for c in columns), r.ambient_C, r.cells, r.capacity_Ah)
+    return ObservedRecord(r.name, *(c[keep] for c in columns), r.ambient_C, r.cells, r.capacity_Ah)
 
 
 @pytest.mark.parametrize(
@@ -161,13 +161,13 @@ def _short(r: Observed) -> Observed:
     ],
 )
 def test_too_little_is_said_with_its_reason(
-    clean: list[Observed], spoil: Callable[[list[Observed]], list[Observed]], reason: str
+    clean: list[ObservedRecord], spoil: Callable[[list[ObservedRecord]], list[ObservedRecord]], reason: str
 ) -> None:
     with pytest.raises(NotEnoughData, match=reason):
         found(spoil(clean))
 
 
-def test_without_temperature_its_effects_are_no_candidates(clean: list[Observed]) -> None:
+def test_without_temperature_its_effects_are_no_candidates(clean: list[ObservedRecord]) -> None:
     blind = [replace(r, temp_C=np.full_like(r.temp_C, np.nan)) for r in clean]
     diagnosis = found(blind)
     assert not diagnosis.problem.evidence.has_temperature

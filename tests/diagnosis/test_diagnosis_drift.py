@@ -13,33 +13,33 @@ from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of, problem_of
 from uavbatt.diagnosis.drift import drifting
 from uavbatt.diagnosis.refit import refit
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for
 
 PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 
 
-def from_to(record: Observed, first: float, last: float) -> Observed:
+def from_to(record: ObservedRecord, first: float, last: float) -> ObservedRecord:
     """The record as a current sensor shows it whose gain goes from one value to another."""
     run = record.time_s / record.time_s[-1]
     return replace(record, current_A=record.current_A * (first + (last - first) * run))
 
 
-def warming(record: Observed, per_K: float) -> Observed:
+def warming(record: ObservedRecord, per_K: float) -> ObservedRecord:
     """The record as a converter shows it whose gain goes with the temperature: right at 25 °C."""
     return replace(record, voltage_V=record.voltage_V * (1.0 + per_K * (record.temp_C - 25.0)))
 
 
 @pytest.fixture(scope="module")
-def flights() -> list[Observed]:
+def flights() -> list[ObservedRecord]:
     return [fly(*mission) for mission in MISSIONS[:3]]
 
 
-def found(records: list[Observed]) -> Diagnosis:
+def found(records: list[ObservedRecord]) -> Diagnosis:
     return diagnose(records, FILE, PACK, engine=engine_for(is_long=True))
 
 
-def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[Observed]) -> None:
+def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[ObservedRecord]) -> None:
     diagnosis = found([from_to(r, 1.0, 1.3) for r in flights])
     assert diagnosis.verdict == "undeclared_effect"
     assert any("current_gain is not the same throughout a record: it changes by +0.3" in r for r in diagnosis.reasons)
@@ -57,7 +57,7 @@ def test_a_voltage_whose_gain_goes_with_the_temperature_is_no_declared_effect() 
     assert not diagnosis.after.candidate.names
 
 
-def test_a_converter_that_warms_is_told_where_no_effect_is_worth_a_name(flights: list[Observed]) -> None:
+def test_a_converter_that_warms_is_told_where_no_effect_is_worth_a_name(flights: list[ObservedRecord]) -> None:
     diagnosis = found([warming(r, 0.0015) for r in flights])
     assert diagnosis.verdict == "undeclared_effect"
     assert diagnosis.classes[0].members == ("voltage_gain",) and diagnosis.classes[0].probability <= 0.4
@@ -65,20 +65,20 @@ def test_a_converter_that_warms_is_told_where_no_effect_is_worth_a_name(flights:
 
 
 @pytest.mark.slow  # planted gains in test_diagnosis.py are its witness
-def test_a_gain_of_the_voltage_that_is_the_same_throughout_is_named(flights: list[Observed]) -> None:
+def test_a_gain_of_the_voltage_that_is_the_same_throughout_is_named(flights: list[ObservedRecord]) -> None:
     diagnosis = found([replace(r, voltage_V=1.015 * r.voltage_V) for r in flights])
     assert diagnosis.verdict == "effect_found"
     assert "voltage_gain" in diagnosis.classes[0].members
 
 
 @pytest.mark.slow
-def test_a_gain_that_is_the_same_throughout_is_named(flights: list[Observed]) -> None:
+def test_a_gain_that_is_the_same_throughout_is_named(flights: list[ObservedRecord]) -> None:
     diagnosis = found([from_to(r, 1.15, 1.15) for r in flights])
     assert diagnosis.verdict == "effect_found"
     assert diagnosis.classes[0].members[0] == "current_gain"
 
 
-def test_a_refit_with_a_drift_finds_how_large_it_is(flights: list[Observed]) -> None:
+def test_a_refit_with_a_drift_finds_how_large_it_is(flights: list[ObservedRecord]) -> None:
     problem = problem_of([from_to(r, 1.0, 1.3) for r in flights], FILE, PACK)
     options = {o.name: o for o in options_of(problem, FILE, ())}
     steady = refit(problem, [options["current_gain"]], start=[refit(problem, [NOTHING])[0]])[0]
@@ -87,7 +87,7 @@ def test_a_refit_with_a_drift_finds_how_large_it_is(flights: list[Observed]) -> 
     np.testing.assert_allclose(drift.values()[0], [1.15, 0.3], atol=0.03)
 
 
-def test_a_refit_with_a_drift_along_the_temperature_finds_how_large_it_is(flights: list[Observed]) -> None:
+def test_a_refit_with_a_drift_along_the_temperature_finds_how_large_it_is(flights: list[ObservedRecord]) -> None:
     records = [warming(r, 0.0015) for r in flights]
     gap = (flights[0].time_s > 300.0) & (flights[0].time_s < 400.0)  # what was not read is between what was
     records[0] = replace(records[0], temp_C=np.where(gap, np.nan, records[0].temp_C))
@@ -101,7 +101,7 @@ def test_a_refit_with_a_drift_along_the_temperature_finds_how_large_it_is(flight
     np.testing.assert_allclose(drift.values()[0], [gain, 0.0015 * (warmest_C - coldest_C)], atol=0.003)
 
 
-def test_what_acts_on_the_state_of_the_cell_does_not_drift(flights: list[Observed]) -> None:
+def test_what_acts_on_the_state_of_the_cell_does_not_drift(flights: list[ObservedRecord]) -> None:
     problem = problem_of(flights, FILE, PACK)
     fade = next(o for o in options_of(problem, FILE, ()) if o.name == "capacity_fade")
     assert drifting(problem, refit(problem, [fade], iterations=1)[0]) is None

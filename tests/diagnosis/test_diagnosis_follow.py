@@ -13,7 +13,7 @@ from uavbatt.diagnosis.course import Course, FlightValues, courses
 from uavbatt.diagnosis.follow import CAN_BEGIN, Follow, follow
 from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for
 
 FLIGHTS = 5
@@ -23,14 +23,14 @@ WITHOUT = tuple(name for name in CAN_BEGIN if name not in TRIED)
 
 
 @cache
-def flight(k: int, **effect: float) -> Observed:
+def flight(k: int, **effect: float) -> ObservedRecord:
     """The k-th of a row of flights with weather and loads of their own."""
     random = np.random.default_rng(200 + k)
     flown = fly(float(random.uniform(8.0, 32.0)), float(random.uniform(130.0, 180.0)), 200 + k, **effect)
     return replace(flown, name=f"flight_{k + 1}")
 
 
-def followed(records: list[Observed]) -> Follow:
+def followed(records: list[ObservedRecord]) -> Follow:
     return follow(records, FILE, PACK, WITHOUT, engine=engine_for(is_long=True))
 
 

@@ -19,8 +19,8 @@ from uavbatt.diagnosis.diagnosis import (
     LEFT,
     USUAL,
     Diagnosis,
-    LeftPerNumber,
-    believed,
+    MisfitPerNumber,
+    candidate_probability,
     diagnose,
     options_of,
     problem_of,
@@ -29,7 +29,7 @@ from uavbatt.diagnosis.rivals import FAMILIES, members_of_class
 from uavbatt.diagnosis.search import SUSPECT, no_chance
 from uavbatt.diagnosis.trial import Trial
 from uavbatt.diagnosis.worth import Worth
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for
 
 # The planted flights are of this very model: what it leaves is the sensors' noise, and a little.
@@ -42,13 +42,13 @@ PACK = pack_from(KNOWN, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 
 
 @cache
-def flight(k: int, **effect: float) -> Observed:
+def flight(k: int, **effect: float) -> ObservedRecord:
     """The k-th of a row of flights with weather and loads of their own."""
     random = np.random.default_rng(100 + k)
     return fly(float(random.uniform(5.0, 35.0)), float(random.uniform(130.0, 190.0)), 100 + k, **effect)
 
 
-def found(records: list[Observed]) -> Diagnosis:
+def found(records: list[ObservedRecord]) -> Diagnosis:
     return diagnose(records, KNOWN, PACK, engine=engine_for(is_long=True))
 
 
@@ -115,14 +115,14 @@ def test_a_pack_charged_in_part_is_a_finding_of_its_own() -> None:
     assert told.lo - 0.03 <= -0.3 <= told.hi + 0.03
 
 
-def _from(record: Observed, soc: float) -> Observed:
+def _from(record: ObservedRecord, soc: float) -> ObservedRecord:
     """The record from a charge on, with twenty seconds of rest at the cell's open-circuit voltage put before it."""
     drawn = np.cumsum(record.current_A * np.gradient(record.time_s)) / 3600.0 / record.capacity_Ah
     first = int(np.argmax(drawn > 1.0 - soc))
     table = KNOWN.parameters
     rested = CELLS * float(np.interp(soc, table.ocv_soc, table.ocv_V))
     rest_s = record.time_s[first] - np.arange(20.0, 0.0, -1.0)
-    return Observed(
+    return ObservedRecord(
         record.name,
         np.concatenate([rest_s, record.time_s[first:]]),
         np.concatenate([np.full(20, rested), record.voltage_V[first:]]),
@@ -228,8 +228,16 @@ def test_what_is_too_small_to_be_told_is_said_to_hide(planted: dict[str, float],
 
 
 def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:
-    shares = [believed(LeftPerNumber(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
-    assert shares[0] == shares[1] > shares[2] > shares[3] == believed(LeftPerNumber(0.8, 1.0), ("something is left",))
+    shares = [
+        candidate_probability(MisfitPerNumber(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)
+    ]
+    assert (
+        shares[0]
+        == shares[1]
+        > shares[2]
+        > shares[3]
+        == candidate_probability(MisfitPerNumber(0.8, 1.0), ("something is left",))
+    )
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(10.0, [0, 1]), (0.0, [0])])

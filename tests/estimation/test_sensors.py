@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavbatt.estimation.sensors import STUCK_S, SinceMoved
+from uavbatt.estimation.sensors import STUCK_S, SensorChanges
 
 CELLS, CAPACITY_AH = 4.0, 5.0
 
 
-def after(current_A: list[float], row_s: float = 1.0) -> SinceMoved:
+def after(current_A: list[float], row_s: float = 1.0) -> SensorChanges:
     """The readings of a voltage that falls steadily, beside these currents."""
-    readings = SinceMoved()
+    readings = SensorChanges()
     for k, amps in enumerate(current_A):
         readings = readings.after(k * row_s, 15.0 - 0.002 * k, amps, CELLS)
     return readings

@@ -19,7 +19,7 @@ from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.battery import RecordedPack, fit_battery, size_of
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.limiter import limited_discharge
-from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
+from uavbatt.fitting.observed import ObservedRecord, binned, from_flight, held_load, stack
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
@@ -33,7 +33,7 @@ def planted_cell() -> Parameters:
     return cell._replace(ocv_V=cell.ocv_V + bulge_V, **PLANTED)
 
 
-def bench(c_rate: float, ambient_C: float, seed: int) -> Observed:
+def bench(c_rate: float, ambient_C: float, seed: int) -> ObservedRecord:
     """A discharge of a 3S 4 Ah pack to 3.3 V a cell: a minute of rest, pulses, sensors with noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 60.0 + 3600.0 / c_rate * 0.97, 5.0)
@@ -45,7 +45,7 @@ def bench(c_rate: float, ambient_C: float, seed: int) -> Observed:
     volts = run.voltage_V[:, 0]
     keep = np.cumsum(volts < 3.3) == 0
     noise = rng.standard_normal((2, time_s.size)) * np.array([[0.004], [0.1]])
-    return Observed(
+    return ObservedRecord(
         name=f"{c_rate} C at {ambient_C} °C",
         time_s=time_s[keep],
         voltage_V=(3 * volts + noise[0])[keep],
@@ -58,7 +58,7 @@ def bench(c_rate: float, ambient_C: float, seed: int) -> Observed:
 
 
 @cache
-def records() -> tuple[Observed, ...]:
+def records() -> tuple[ObservedRecord, ...]:
     return tuple(bench(c, t, k) for k, (c, t) in enumerate([(2.0, 25.0), (5.0, 25.0), (4.0, 5.0), (4.0, 38.0)]))
 
 
@@ -173,7 +173,7 @@ def test_the_generic_file_is_the_prior() -> None:
 def test_bins_keep_the_charge_and_the_means() -> None:
     time_s = np.arange(0.0, 600.0, 0.5)
     current_A = 10.0 + 3.0 * np.sin(time_s / 5.0)
-    fine = Observed("x", time_s, 16.0 - 0.02 * current_A, current_A, np.full(time_s.size, 20.0), 20.0, 4, 5.0)
+    fine = ObservedRecord("x", time_s, 16.0 - 0.02 * current_A, current_A, np.full(time_s.size, 20.0), 20.0, 4, 5.0)
     coarse = binned(fine)
     assert np.diff(coarse.time_s) == pytest.approx(observed.BIN_S)
     assert float(np.mean(coarse.current_A)) == pytest.approx(float(np.mean(current_A)))
@@ -183,7 +183,9 @@ def test_bins_keep_the_charge_and_the_means() -> None:
 
 def test_coarse_rows_are_split_and_only_real_rows_are_compared() -> None:
     rows = np.arange(0.0, 240.0, 12.0)
-    coarse = Observed("x", rows, 16.0 - rows / 500.0, np.full(rows.size, 10.0), np.full(rows.size, 20.0), 20.0, 4, 5.0)
+    coarse = ObservedRecord(
+        "x", rows, 16.0 - rows / 500.0, np.full(rows.size, 10.0), np.full(rows.size, 20.0), 20.0, 4, 5.0
+    )
     stacked = stack([coarse, bench(5.0, 25.0, 1)])
     assert (stacked.dt_s <= LONGEST_STEP_S + 1e-9).all() and (stacked.dt_s >= 0.0).all()
     assert int(stacked.compare[:, 0].sum()) == rows.size

@@ -10,13 +10,13 @@ import pytest
 from uavbatt.battery.model import Array
 from uavbatt.cli.diagnose_records import observed_of
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.observed import HELD_WINDOW_S, Observed, from_flight, held_load, stack
+from uavbatt.fitting.observed import HELD_WINDOW_S, ObservedRecord, from_flight, held_load, stack
 from uavbatt.telemetry import read_log
 
 ROWS = 60
 
 
-def written(folder: Path, temp_C: Array) -> Observed:
+def written(folder: Path, temp_C: Array) -> ObservedRecord:
     """A flight of ROWS rows a second apart with such temperatures, read from its table."""
     rows = [f"{k},{16.4 - 0.01 * k:.2f},15,{temp_C[k]}" for k in range(ROWS)]
     path = folder / "flight.csv"

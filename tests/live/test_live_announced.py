@@ -19,7 +19,7 @@ from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.estimation import filter as soc_filter
 from uavbatt.estimation import monitor
 from uavbatt.estimation.filter import NO_CURRENT, known_only_to
-from uavbatt.limits import Doubt, Resting, Seen, cells_doubt, ending_doubt
+from uavbatt.limits import Doubt, FirstVoltages, Resting, cells_doubt, ending_doubt
 from uavbatt.live import announced
 from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection
@@ -110,7 +110,7 @@ def test_every_reason_fits_into_a_text() -> None:
         assert len(f"Battery 255: {short}") <= 50
 
 
-CAPACITY_AH, MEASURED = 5.0, Seen(16.0, 16.0)
+CAPACITY_AH, MEASURED = 5.0, FirstVoltages(16.0, 16.0)
 
 
 def notices_of(module: ModuleType) -> list[Notice]:
@@ -171,7 +171,7 @@ def test_the_words_of_a_warning_decide_nothing(words: str) -> None:
 def test_cells_of_the_vehicle_that_are_not_used_are_one_text() -> None:
     """The sentence holds the doubt about the count as well, which is announced only where it is a doubt of its own."""
     options = PackOptions(capacity_Ah=CAPACITY_AH)
-    size = size_of_pack(read_battery("lipo-generic"), options, PackFacts(cells_series=12), 4, seen=MEASURED)
+    size = size_of_pack(read_battery("lipo-generic"), options, PackFacts(cells_series=12), 4, voltages=MEASURED)
     warned = report(100.0, warnings=size.notices)
     assert [text for _, text in Announcer(0, ()).texts(0.0, warned, True)] == [
         "Battery 0: cells of the vehicle not used"
@@ -245,7 +245,7 @@ def test_the_load_that_never_comes_is_said_whenever_the_companion_was_started(st
         bench.send(battery_status(Sample(0.0, 16.0, 0.0, 25.0, 0.0, armed=True), 0))
         bench.daemon.turn()
         bench.now_s += 0.2
-    assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.said]
+    assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.announcements]
 
 
 def test_every_flight_has_a_warning_of_its_own() -> None:

@@ -165,10 +165,10 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
 def test_rows_that_are_always_slow_are_no_silence() -> None:
     bench = Bench(OPTIONS, settings=SELDOM)
     bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(6)])
-    assert bench.daemon.batteries.tracked[0].estimator._followed.swap.silence is None
+    assert bench.daemon.batteries.tracked[0].estimator._state.swap.silence is None
     bench.now_s += 100.0
     bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(3)])
-    assert bench.daemon.batteries.tracked[0].estimator._followed.swap.silence is not None
+    assert bench.daemon.batteries.tracked[0].estimator._state.swap.silence is not None
 
 
 @pytest.mark.parametrize("jump_s", [-7200.0, 86_400.0])
@@ -206,8 +206,8 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     agrees(second, undisturbed())
     now = second.daemon.batteries.tracked[0].estimator.past
     assert past is not None and now is not None
-    assert now.forecaster.flown.flown_s == pytest.approx(180.0, abs=8.0)
-    assert now.forecaster.flown.load.mean_W == pytest.approx(180.0, rel=0.2)
+    assert now.forecaster.flight.flown_s == pytest.approx(180.0, abs=8.0)
+    assert now.forecaster.flight.load.mean_W == pytest.approx(180.0, rel=0.2)
 
 
 def test_the_vehicle_that_is_named_is_the_one() -> None:

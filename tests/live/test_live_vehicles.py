@@ -164,7 +164,7 @@ def test_a_vehicle_that_fell_silent_in_the_air_is_followed_again() -> None:
         (42, "System 1 is heard again and followed"),
         (1, "System 1 is heard again and followed"),
     ]
-    assert [text for _, text in bench.daemon.board.said][-1] == "System 1 is heard again and followed"
+    assert [text for _, text in bench.daemon.board.announcements][-1] == "System 1 is heard again and followed"
     last = {m.name: m.value for m in sent if m.get_type() == "NAMED_VALUE_FLOAT" and m.get_srcSystem() == 42}
     assert last["REM_S"] != last["REM_S"]  # nobody fills it any more
     other_flies(bench, 30.0, first=True)

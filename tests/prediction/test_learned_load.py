@@ -10,10 +10,10 @@ from factories import generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
-from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import Load, Now, RecentLoad, Scenarios, equal_levels
+from uavbatt.prediction.load import FlightPoint, Load, RecentLoad, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
@@ -24,7 +24,7 @@ from uavbatt.prediction.load_library import (
     UnknownAircraft,
     learned_load,
 )
-from uavbatt.prediction.powers_flown import MOST_PIECES, PRIOR_MINUTE_SD, PowersFlown
+from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory
 
 STEP_S = 5.0
 
@@ -40,8 +40,8 @@ def library(*traces: Trace) -> LearnedLoad:
     return learned_load(VehicleFile(name="a", battery="b", phases=phases, traces=list(traces)))
 
 
-def now(since_s: float = 0.0, soc: float = 1.0, flight_W: float = 300.0, recent_W: float = 300.0) -> Now:
-    return Now(since_s, since_s, soc, flight_W, RecentLoad(since_s, recent_W, recent_W))
+def now(since_s: float = 0.0, soc: float = 1.0, flight_W: float = 300.0, recent_W: float = 300.0) -> FlightPoint:
+    return FlightPoint(since_s, since_s, soc, flight_W, RecentLoad(since_s, recent_W, recent_W))
 
 
 def middle_W(scenarios: Scenarios) -> np.ndarray:  # type: ignore[type-arg]
@@ -160,9 +160,9 @@ def test_an_unknown_aircraft_expects_a_surge() -> None:
     assert early_W == pytest.approx(300.0, rel=0.1) and 1.03 * early_W < late_W < 1.3 * early_W
 
 
-def flown(*power_W: float, each_s: float = 5.0) -> PowersFlown:
+def flown(*power_W: float, each_s: float = 5.0) -> PowerHistory:
     """A flight that has asked these powers, each for so long."""
-    found = PowersFlown()
+    found = PowerHistory()
     for watts in power_W:
         found = found.after(watts, each_s)
     return found
@@ -179,7 +179,7 @@ def test_a_flight_is_flown_again_with_its_mean_and_its_highest_power() -> None:
     assert again.mean(axis=0) == pytest.approx(np.ones(45), rel=0.05)
     assert np.quantile(again, [0.1, 0.9]) == pytest.approx([25.0 / 120.0, 500.0 / 120.0], rel=1e-6)
     assert np.ptp(again[0]) > 3.0  # each from another place of it on
-    assert PowersFlown().again(np.arange(0.0, 50.0, 5.0), 7) == pytest.approx(1.0)
+    assert PowerHistory().again(np.arange(0.0, 50.0, 5.0), 7) == pytest.approx(1.0)
 
 
 def test_a_long_flight_keeps_its_energy_in_as_many_pieces() -> None:
@@ -191,7 +191,7 @@ def test_a_long_flight_keeps_its_energy_in_as_many_pieces() -> None:
 
 
 def test_the_minutes_of_a_steady_flight_are_alike_and_those_of_a_glider_are_not() -> None:
-    assert PowersFlown().minute_sd == PRIOR_MINUTE_SD
+    assert PowerHistory().minute_sd == PRIOR_MINUTE_SD
     assert flown(*[300.0] * 120).minute_sd < 0.05
     assert flown(*([500.0] * 6 + [25.0] * 24) * 4).minute_sd > 0.4
 
@@ -201,7 +201,7 @@ def test_another_load_in_the_last_minute_is_believed_unless_the_motor_runs_by_tu
 
     def typical_W(*power_W: float) -> float:
         memory = recent(*power_W)._replace(mean_W=float(np.mean(power_W[-12:])))
-        return unknown.typical_W(Now(600.0, 600.0, 0.5, float(np.mean(power_W)), memory))
+        return unknown.typical_W(FlightPoint(600.0, 600.0, 0.5, float(np.mean(power_W)), memory))
 
     assert typical_W(*[300.0] * 108, *[600.0] * 12) == pytest.approx(600.0)
     by_turns = ([600.0] * 12 + [30.0] * 24) * 4
@@ -232,8 +232,8 @@ def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     mean[X.SOC], mean[X.CORE], mean[X.SENSOR], sd[X.SOC] = 0.7, 25.0, 25.0, 0.01
     pack = generic_pack()
     forecaster = Forecaster(pack, ForecastSettings(load))
-    flown = Flown(recent, took_off_s=-200.0, flown_s=200.0, flown_J=56000.0)
-    forecaster.recall(forecaster.memory._replace(flown=flown))
+    flown = FlightSoFar(recent, took_off_s=-200.0, flown_s=200.0, flown_J=56000.0)
+    forecaster.recall(forecaster.memory._replace(flight=flown))
     found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
     assert found is not None and math.isfinite(found.median_s)
     return found
@@ -256,16 +256,16 @@ UP_AND_DOWN = [420.0, 420.0, 420.0, 420.0, 240.0, 240.0, 240.0, 240.0]  # 40 s e
 STEADY = [330.0] * 8
 
 
-def flown_like(powers_W: list[float], since_s: float, missing_s: float = 0.0) -> Now:
+def flown_like(powers_W: list[float], since_s: float, missing_s: float = 0.0) -> FlightPoint:
     """A flight that asked these powers again and again, a row every 10 s, none for `missing_s` in its middle."""
     recent, rows = RecentLoad(), round(since_s / 10.0)
     for k in range(rows + 1):
         late_s = missing_s if k > rows // 2 else 0.0
         recent = recent.after(10.0 * k + late_s, powers_W[k % len(powers_W)])
-    return Now(since_s + missing_s, since_s + missing_s, 0.5, 330.0, recent)
+    return FlightPoint(since_s + missing_s, since_s + missing_s, 0.5, 330.0, recent)
 
 
-def share_of_first(load: LearnedLoad, at: Now) -> float:
+def share_of_first(load: LearnedLoad, at: FlightPoint) -> float:
     return float(load.scenarios(at, STEP_S, 5).weight[:3].sum())
 
 

@@ -13,7 +13,7 @@ from route_rig import HOME, POWERS, SETTINGS, mission, to
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimator import Estimator, Past
+from uavbatt.estimator import Estimator, EstimatorMemory
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction.batch import end_times
@@ -259,7 +259,7 @@ def test_a_restart_in_flight_keeps_what_the_legs_have_taught() -> None:
     assert begun_anew == math.inf or abs(begun_anew - went_on) > 15.0
 
 
-def restarted(before: Estimator, past: Past) -> Estimator:
+def restarted(before: Estimator, past: EstimatorMemory) -> Estimator:
     """Another process that goes on from the belief of the first, with this past."""
     assert before.belief is not None and before.pack_size is not None
     after = Estimator(before.battery, before.options)

@@ -15,7 +15,7 @@ from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_legs import Point
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
-from uavbatt.prediction.route_pieces import Pieces, Way
+from uavbatt.prediction.route_pieces import LegTiming, Pieces
 from uavbatt.prediction.route_progress import Progress
 
 SPEED_MS = 8.0
@@ -25,7 +25,7 @@ FAST = replace(SETTINGS, cruise_ms=SPEED_MS)
 def pieces(*places_m: tuple[float, float], hold_s: float = 0.0) -> Pieces:
     """The pieces of a way at one height from home along these places north and east."""
     items = [to(k, north_m, east_m, 30.0, hold_s=hold_s) for k, (north_m, east_m) in enumerate(places_m, start=1)]
-    found = Way().pieces(path(mission(*items), HOME, FAST).table)
+    found = LegTiming().pieces(path(mission(*items), HOME, FAST).table)
     return found.of(found.seq <= len(places_m))
 
 
@@ -95,7 +95,9 @@ def test_the_power_of_a_turn_tells_no_payload() -> None:
 
 def spread_at(airspeed_ms: float, fastest_ms: float | None) -> float:
     """Relative sd between the scenarios of the power of a piece at an airspeed; the law was learned up to another."""
-    one = Way(wind=(SPEED_MS - airspeed_ms, 0.0)).pieces(path(mission(to(1, 2000.0, 0.0, 30.0)), HOME, FAST).table)
+    one = LegTiming(wind=(SPEED_MS - airspeed_ms, 0.0)).pieces(
+        path(mission(to(1, 2000.0, 0.0, 30.0)), HOME, FAST).table
+    )
     there = one.of(one.seq == 1).of(slice(-1, None))
     powers = msgspec.structs.replace(POWERS, fastest_ms=fastest_ms)
     load = RouteLoad(ahead=Ahead(Point(0.0, 0.0, 30.0), there), powers=powers, level=1.0, level_sd=0.0)

@@ -61,10 +61,10 @@ def joint(
     FULL_SD, `full_share` of the discrepancy) and "any charge", by its moments.
     """
     read = charge_at(p, emf_V, math.hypot(reading_sd_V, bias_sd_V))
-    any_charge = _read(p, emf_V, read.soc, ANY_SD, reading_sd_V, bias_sd_V)
+    any_charge = _after_reading(p, emf_V, read.soc, ANY_SD, reading_sd_V, bias_sd_V)
     if not may_be_full:
         return any_charge.mean, any_charge.covariance
-    as_full = _read(p, emf_V, 1.0, FULL_SD, reading_sd_V, full_share * bias_sd_V)
+    as_full = _after_reading(p, emf_V, 1.0, FULL_SD, reading_sd_V, full_share * bias_sd_V)
     weight = np.array([FULL_SHARE * as_full.likelihood, (1.0 - FULL_SHARE) * any_charge.likelihood])
     weight = weight / weight.sum() if weight.sum() > 0.0 else np.array([0.0, 1.0])
     mean = weight[0] * as_full.mean + weight[1] * any_charge.mean
@@ -75,7 +75,7 @@ def joint(
     return np.array([min(float(mean[0]), 1.0), float(mean[1])]), covariance
 
 
-class _Read(NamedTuple):
+class _Hypothesis(NamedTuple):
     """_Read holds one hypothesis of the charge after the reading."""
 
     likelihood: float
@@ -83,7 +83,9 @@ class _Read(NamedTuple):
     covariance: Array
 
 
-def _read(p: Parameters, emf_V: float, soc: float, soc_sd: float, reading_sd_V: float, bias_sd_V: float) -> _Read:
+def _after_reading(
+    p: Parameters, emf_V: float, soc: float, soc_sd: float, reading_sd_V: float, bias_sd_V: float
+) -> _Hypothesis:
     """Update (charge, discrepancy) by the reading with a Kalman filter that is linear around `soc`."""
     below, above = max(soc - SLOPE_WITHIN, 0.0), min(soc + SLOPE_WITHIN, 1.0)
     rise_V = float(model.open_circuit_voltage(p, above)) - float(model.open_circuit_voltage(p, below))
@@ -93,4 +95,4 @@ def _read(p: Parameters, emf_V: float, soc: float, soc_sd: float, reading_sd_V: 
     gain = before @ row / variance
     surprise_V = emf_V - float(model.open_circuit_voltage(p, soc))
     likelihood = math.exp(-0.5 * surprise_V**2 / variance) / math.sqrt(variance)
-    return _Read(likelihood, np.array([soc, 0.0]) + gain * surprise_V, before - np.outer(gain, row @ before))
+    return _Hypothesis(likelihood, np.array([soc, 0.0]) + gain * surprise_V, before - np.outer(gain, row @ before))

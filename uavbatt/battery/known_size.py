@@ -13,7 +13,7 @@ from typing import NamedTuple
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, counts_of_cells, resting, size_of_pack
 from uavbatt.battery.statements import PowerRange, Statements
-from uavbatt.limits import Doubt, Resting, Seen
+from uavbatt.limits import Doubt, FirstVoltages, Resting
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
@@ -47,7 +47,7 @@ class KnownSize(NamedTuple):
     def with_facts(self, facts: PackFacts) -> KnownSize:
         """Return this with `facts`, what the vehicle says from now on; a size that was known is worked out anew."""
         known = self._replace(facts=facts)
-        return known._counted()._sized() if self.size is not None else known
+        return known._with_counts()._with_size() if self.size is not None else known
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
         """Return the size and its doubts after one more row, `raw` as it came and `sample` after cleaning."""
@@ -55,19 +55,19 @@ class KnownSize(NamedTuple):
         if size is None:
             return self
         statements = self.statements.after(raw, sample, size)
-        before, seen = self.statements.seen, statements.seen
+        before, voltages = self.statements.voltages, statements.voltages
         first_A = self.first_A if self.statements.rows else sample.current_A
         known = self._replace(statements=statements, size=size, first_A=first_A)
-        if seen is not before:
-            known = known._counted()
+        if voltages is not before:
+            known = known._with_counts()
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
-            if is_denied or (math.isnan(before.rested_V) and math.isfinite(seen.rested_V)):
-                known = known._sized()  # another count, or a cut-off that lies above the rested voltage
+            if is_denied or (math.isnan(before.rested_V) and math.isfinite(voltages.rested_V)):
+                known = known._with_size()  # another count, or a cut-off that lies above the rested voltage
         is_first = statements.rows == 1 and math.isnan(known.rested_V)
-        if is_first or (statements.rows == SURE_ROWS and known.rested_V == before.rested_V != seen.rested_V):
-            known = known._replace(rested_V=seen.rested_V)._sized()  # the cells may be of another kind
+        if is_first or (statements.rows == SURE_ROWS and known.rested_V == before.rested_V != voltages.rested_V):
+            known = known._replace(rested_V=voltages.rested_V)._with_size()  # the cells may be of another kind
         sized = known.size or size
-        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized))
+        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *known._count_doubts(sized))
         return known if doubts == known.doubts else known._replace(doubts=doubts)
 
     def by_voltage(self, coming: Iterable[Sample]) -> PackSize | None:
@@ -76,29 +76,29 @@ class KnownSize(NamedTuple):
         if first is None:
             return None
         guessed, *_ = self._replace(first_A=first.current_A)._counts(first.voltage_V)
-        return size_of_pack(self.battery, self.options, self.facts, guessed, seen=Seen(first.voltage_V))
+        return size_of_pack(self.battery, self.options, self.facts, guessed, voltages=FirstVoltages(first.voltage_V))
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed: no row of the new one was seen yet."""
         return self._replace(statements=Statements(), counts=(), rested_V=NAN)
 
-    def _counted(self) -> KnownSize:
+    def _with_counts(self) -> KnownSize:
         """Return what is known with the cells counted by what was seen."""
-        first_V = self.statements.seen.first_V
+        first_V = self.statements.voltages.first_V
         return self._replace(counts=self._counts(first_V) if math.isfinite(first_V) else ())
 
-    def _sized(self) -> KnownSize:
+    def _with_size(self) -> KnownSize:
         """Return the size by what is known now; where nobody states the cells, by the likeliest count."""
         assert self.size is not None
-        guessed, seen = (*self.counts, self.size.cells)[0], self.statements.seen
-        size = size_of_pack(self.battery, self.options, self.facts, guessed, seen=seen, rested_V=self.rested_V)
+        guessed, voltages = (*self.counts, self.size.cells)[0], self.statements.voltages
+        size = size_of_pack(self.battery, self.options, self.facts, guessed, voltages=voltages, rested_V=self.rested_V)
         return self._replace(size=size)
 
     def _counts(self, first_V: float) -> tuple[int, ...]:
         """Return the counts of cells that fit the first voltage [V] and what the vehicle says, the likeliest first."""
         return counts_of_cells(self.battery, self.options, self.facts, first_V, self.first_A)
 
-    def _of_count(self, size: PackSize) -> tuple[Doubt, ...]:
+    def _count_doubts(self, size: PackSize) -> tuple[Doubt, ...]:
         """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""
         if size.cells_from != GUESSED_FROM:
             return ()
@@ -109,6 +109,6 @@ class KnownSize(NamedTuple):
         return (Doubt(Notice(words, Kind.CELLS_NOT_STATED), False),)
 
 
-def nothing_seen(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:
+def before_any_row(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:
     """Return the knowledge of a pack's size before its first row, by the caller's statements alone."""
     return KnownSize(battery, options, resting(battery), stated_W)

@@ -103,7 +103,10 @@ def _r0_ohmAh(p: Parameters, new_ohmAh: Number, core_C: Number) -> Number:
 
 
 def source(p: Parameters, s: State) -> tuple[Number, Number]:
-    """Return `electromotive_force` [V] and `resistance` [ohm·Ah], looked up once for both."""
+    """Return the electromotive force [V] and the `resistance` [ohm·Ah], looked up once for both.
+
+    The electromotive force is the voltage that the terminals would show with the current cut off this instant.
+    """
     position = (s.soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
     charged_V = eq.interpolated(p.ocv_V, index, position - index)
@@ -119,11 +122,6 @@ def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -
 def held_position(position: Number) -> Number:
     """Return the position [grid steps] kept within the table, for tables that are flat beyond their ends."""
     return np.minimum(np.maximum(position, 0.0), LAST_POSITION)
-
-
-def electromotive_force(p: Parameters, s: State) -> Number:
-    """Return the voltage that the terminals would show with the current cut off this instant [V]."""
-    return open_circuit_voltage(p, s.soc) - s.polarisation_V - s.diffusion_V
 
 
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:

@@ -24,9 +24,9 @@ from uavbatt.limits import (
     OPTIONS,
     RESTING_SLACK_V,
     Doubt,
+    FirstVoltages,
     Names,
     Resting,
-    Seen,
     capacity_doubt,
     cells_doubt,
     cells_from_voltage,
@@ -46,7 +46,7 @@ CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 class PackOptions:
     """PackOptions holds what the caller states of the pack; None or NaN is not stated. Raises UsageError if impossible.
 
-    fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; spelt : the names by which the
+    fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; names : the names by which the
     caller knows these numbers; what is said of them later uses the names.
     """
 
@@ -56,7 +56,7 @@ class PackOptions:
     low_V: float = NAN
     ambient_C: float = NAN
     fullest_cell_V: float = ORDINARY_FULL_V
-    spelt: Names = field(default=OPTIONS, repr=False)
+    names: Names = field(default=OPTIONS, repr=False)
 
     def __post_init__(self) -> None:
         check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C)
@@ -106,28 +106,28 @@ def size_of_pack(
     said: PackFacts,
     guessed_cells: int,
     guessed_from: str = GUESSED_FROM,
-    seen: Seen = Seen(),
+    voltages: FirstVoltages = FirstVoltages(),
     rested_V: float = NAN,
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    guessed_cells, guessed_from : the count that fits the voltage, and its source in words; seen : the voltages [V] that
+    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; voltages : the voltages [V]
     the statements are compared with; rested_V : voltage of the pack before its first load [V], if it is to show the
     kind of the cells (`high_voltage`). Raises UsageError when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
-    cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
+    cells, cells_from, cells_notices = _cells(given, said, guess, voltages, resting(battery))
     if cells_notices:  # PX4 works out its critical voltage from its count of cells
         said = replace(said, critical_voltage_V=NAN)
     why_not = why_no_capacity(battery, given, said)
     if why_not:
         raise CapacityNotStated(why_not)
-    said, notices = believed(said, cells, seen)
+    said, notices = possible_facts(said, cells, voltages)
     capacity_Ah, capacity_from = _capacity(battery, given, said)
     (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
     doubts = [
-        ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V, Kind.CUTOFF),
+        ending_doubt("cut-off ", given.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
         ending_doubt("low-voltage warning at ", given.low_V, cells, kind=Kind.LOW_VOLTAGE),
     ]
     fullest_V = max(fullest_cell_V(rested_V, cells), given.fullest_cell_V)
@@ -162,7 +162,7 @@ def why_no_capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -
     if math.isfinite(_capacity(battery, given, replace(said, capacity_Ah=vehicle_Ah))[0]):
         return ""
     why = f"{CAPACITY} {doubt.words}: not used; " if doubt is not None else ""
-    by = _by(given.spelt.capacity)
+    by = _by(given.names.capacity)
     return f"{why}capacity: neither the vehicle nor battery `{battery.battery.name}` states one: give {by}"
 
 
@@ -197,11 +197,11 @@ def sized(battery: BatteryFile, size: PackSize) -> Pack:
     return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V, size.fullest_cell_V)
 
 
-def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
+def checked(battery: BatteryFile, pack: PackSize, voltages: FirstVoltages) -> PackSize:
     """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
     if pack.refusal:
         raise UsageError(pack.refusal)
-    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
+    doubt = cells_doubt(pack.cells, voltages, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
     if doubt is not None and doubt.is_certain:
         raise UsageError(f"{pack.cells_from}: {doubt.words}")
     return pack
@@ -218,24 +218,24 @@ def resting(battery: BatteryFile) -> Resting:
     return Resting(max(empty_V - RESTING_SLACK_V, LOWEST_CELL_V), min(low_V, LITTLE_CELL_V))
 
 
-def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
+def possible_facts(said: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
     """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
     capacity = capacity_doubt(said.capacity_Ah)
     volts, what = said.critical_voltage_V, "critical voltage of the vehicle, "
-    critical = ending_doubt(what, volts, cells, seen.rested_V, Kind.CRITICAL_VOLTAGE)
+    critical = ending_doubt(what, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
     what = "low-voltage warning of the vehicle, "
     low = ending_doubt(what, said.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
     if capacity is not None:
         capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
 
-    def kept(value: float, doubt: Doubt | None) -> float:
+    def unless_impossible(value: float, doubt: Doubt | None) -> float:
         return NAN if doubt is not None and doubt.is_certain else value
 
     sound = replace(
         said,
-        capacity_Ah=kept(said.capacity_Ah, capacity),
-        critical_voltage_V=kept(said.critical_voltage_V, critical),
-        low_voltage_V=kept(said.low_voltage_V, low),
+        capacity_Ah=unless_impossible(said.capacity_Ah, capacity),
+        critical_voltage_V=unless_impossible(said.critical_voltage_V, critical),
+        low_voltage_V=unless_impossible(said.low_voltage_V, low),
     )
     doubts = [d for d in (capacity, critical, low) if d is not None]
     return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
@@ -244,7 +244,7 @@ def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFact
 def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
     """Return the capacity [Ah] and its source; `said` holds the vehicle's statements that are believed."""
     typed_Ah = battery.battery.capacity_Ah
-    by = _by(given.spelt.capacity)
+    by = _by(given.names.capacity)
     return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
 
 
@@ -254,12 +254,12 @@ def _endings(
     """Return the cut-off and the low-voltage warning of the pack [V], each with its source."""
     share = cells / typed.cells_series
     cutoff = _first(
-        (given.cutoff_V, _by(given.spelt.cutoff)),
+        (given.cutoff_V, _by(given.names.cutoff)),
         (said.critical_voltage_V, "vehicle"),
         (typed.cutoff_V * share, "battery file"),
     )
     low = _first(
-        (given.low_V, _by(given.spelt.low)),
+        (given.low_V, _by(given.names.low)),
         (said.low_voltage_V, "vehicle"),
         (None if typed.low_V is None else typed.low_V * share, "battery file"),
         (NAN, "nobody"),
@@ -268,19 +268,19 @@ def _endings(
 
 
 def _cells(
-    given: PackOptions, said: PackFacts, guess: tuple[int, str], seen: Seen, cell: Resting
+    given: PackOptions, said: PackFacts, guess: tuple[int, str], voltages: FirstVoltages, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
     """Return the count of cells, its source, and a notice if the vehicle's own count is not believed."""
     if given.cells is not None:
-        by = _by(given.spelt.cells)
+        by = _by(given.names.cells)
         if said.cells_series in (None, given.cells):
             return int(given.cells), by, ()
-        stated = f"{given.spelt.cells}{given.cells}"
+        stated = f"{given.names.cells}{given.cells}"
         notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
         return int(given.cells), by, (Notice(notice, Kind.CELLS_OF_VEHICLE),)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
-    doubt = cells_doubt(said.cells_series, seen, cell)
+    doubt = cells_doubt(said.cells_series, voltages, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
     notice = f"the vehicle states {doubt.words}: not used, nor its critical voltage"

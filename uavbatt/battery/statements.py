@@ -23,8 +23,8 @@ from uavbatt.limits import (
     POWER_FACTOR,
     USUAL_C_RATE,
     Doubt,
+    FirstVoltages,
     Resting,
-    Seen,
     cells_doubt,
 )
 from uavbatt.notice import Kind, Notice
@@ -127,7 +127,7 @@ class Current(NamedTuple):
 class Statements(NamedTuple):
     """Statements sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
 
-    seen: Seen = Seen()
+    voltages: FirstVoltages = FirstVoltages()
     rows: int = 0
     time_s: float = NAN
     voltage_V: float = NAN
@@ -143,11 +143,11 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        seen = self._seen(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
+        voltages = self._highest_voltages(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
-        current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
-        return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
+        current = self.current.after(time_s, volts, current_A, voltages.rested_V, pack) if is_metered else self.current
+        return Statements(voltages, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
         """Return the doubts about the statements, the certain ones first.
@@ -160,7 +160,7 @@ class Statements(NamedTuple):
         may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # braking motors charge in flight
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
-            cells_doubt(pack.cells, self.seen, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
+            cells_doubt(pack.cells, self.voltages, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
             SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
             CHARGING if current.negative_s >= may_charge_s else None,
             _strong(load, capacity_Ah) if is_minute and load.current_A > USUAL_C_RATE[1] * capacity_Ah else None,
@@ -175,25 +175,25 @@ class Statements(NamedTuple):
 
     def denies(self, cells: int, resting: Resting) -> bool:
         """Return True if the voltages say for certain that there are not so many cells."""
-        doubt = cells_doubt(cells, self.seen, resting)
+        doubt = cells_doubt(cells, self.voltages, resting)
         return doubt is not None and doubt.is_certain
 
-    def shown(self, volts: float, is_idle: bool) -> Statements:
+    def with_voltage(self, volts: float, is_idle: bool) -> Statements:
         """Return the summary after a row of which only the voltage [V] is compared."""
-        return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
+        return self._replace(voltages=self._highest_voltages(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
 
-    def _seen(self, volts: float, is_idle: bool) -> Seen:
+    def _highest_voltages(self, volts: float, is_idle: bool) -> FirstVoltages:
         """Return the highest voltages that two rows in turn have shown, of all rows and of those at rest.
 
         One row alone may be damaged. Rest ends with the first load.
         """
-        (first_V, rested_V), rows = self.seen, self.rows
+        (first_V, rested_V), rows = self.voltages, self.rows
         shown_V = min(volts, self.voltage_V) if rows else volts
         if rows < 2 or shown_V > first_V:
             first_V = shown_V
         if is_idle:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
-        return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
+        return self.voltages if (first_V, rested_V) == self.voltages else FirstVoltages(first_V, rested_V)
 
 
 def _strong(load: Means, capacity_Ah: float) -> Doubt:
@@ -231,7 +231,7 @@ def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
     return Doubt(Notice(words, Kind.POWER), False)
 
 
-def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
+def first_voltages(samples: Iterable[Sample], capacity_Ah: float = NAN) -> FirstVoltages:
     """Return the pack's highest voltages [V] before the load of a record, or of its first minutes.
 
     Where the current is metered and no capacity is given, none counts as rested.
@@ -244,8 +244,8 @@ def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
         is_idle = _is_idle(sample, capacity_Ah)
         if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
             break
-        found = found.shown(sample.voltage_V, is_idle)
-    return found.seen
+        found = found.with_voltage(sample.voltage_V, is_idle)
+    return found.voltages
 
 
 def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
@@ -258,9 +258,9 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
     guess = counts_of_cells(battery, options, said, first.voltage_V, first.current_A)[0]
     try:
-        seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
-        size = size_of_pack(battery, options, said, guess, seen=seen, rested_V=seen.rested_V)
-        return checked(battery, size, seen)
+        voltages = first_voltages(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
+        size = size_of_pack(battery, options, said, guess, voltages=voltages, rested_V=voltages.rested_V)
+        return checked(battery, size, voltages)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
 

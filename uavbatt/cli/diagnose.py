@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import ClosedLoop
     from uavbatt.diagnosis.diagnosis import Diagnosis
-    from uavbatt.fitting.observed import Observed
+    from uavbatt.fitting.observed import ObservedRecord
 
 
 def diagnose(
@@ -148,7 +148,7 @@ def _run(
     tests = data.load(gate) if gate is not None else None
     sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}
     series, capacity_Ah, cutoff_V = one_size(sizes)
-    records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
+    records: list[ObservedRecord] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
     records += [observed_of(f, series, capacity_Ah) for f in flights]
     options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
     base = base_pack(*remembered, flights, content, pack_from(content, options))

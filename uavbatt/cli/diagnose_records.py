@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavbatt.errors import NotEnoughData, UsageError, terminal_line
-from uavbatt.limits import Seen
+from uavbatt.limits import FirstVoltages
 from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.dataset import DataSet
-    from uavbatt.fitting.observed import Observed
+    from uavbatt.fitting.observed import ObservedRecord
 
 Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
@@ -43,7 +43,7 @@ def one_size(sizes: set[Size]) -> Size:
     return next(iter(sizes))
 
 
-def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
+def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecord:
     """Return the rows of a flight as a record. Raises NotEnoughData if it has no current."""
     from uavbatt.fitting import observed
     from uavbatt.telemetry.plausibility import MAX_CELL_C
@@ -55,12 +55,12 @@ def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
 
 def distinct(flights: list[Flight]) -> list[Flight]:
     """Return the flights. Raises UsageError if a log is named twice: it would count as evidence twice."""
-    seen: dict[object, str] = {}
+    voltages: dict[object, str] = {}
     for flight in flights:
         key = (len(flight.samples), flight.samples[0], flight.samples[-1])
-        if repr(key) in seen:
-            raise UsageError(f"{flight.source}: the same log as {seen[repr(key)]}: expected different flights")
-        seen[repr(key)] = flight.source
+        if repr(key) in voltages:
+            raise UsageError(f"{flight.source}: the same log as {voltages[repr(key)]}: expected different flights")
+        voltages[repr(key)] = flight.source
     return flights
 
 
@@ -82,9 +82,11 @@ def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> 
     from uavbatt.battery.sizing import checked, size_of_pack
 
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
-    seen = Seen(dataset.first_V)
+    voltages = FirstVoltages(dataset.first_V)
     try:
-        return _rounded(checked(content, size_of_pack(content, stated, said, dataset.cells_series, seen=seen), seen))
+        return _rounded(
+            checked(content, size_of_pack(content, stated, said, dataset.cells_series, voltages=voltages), voltages)
+        )
     except UsageError as error:
         raise UsageError(f"{dataset.path}: {error}") from None
 

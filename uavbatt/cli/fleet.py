@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from contextlib import AbstractContextManager
 
-    from uavbatt.fleet.fly import Job, PackMet
+    from uavbatt.fleet.fly import Job, RememberedPack
     from uavbatt.fleet.logs import LogFile
     from uavbatt.fleet.row import FlightRow
-    from uavbatt.fleet.run import Crew, FinishedLog
+    from uavbatt.fleet.run import FinishedLog, Workers
 
 PAGE = "fleet.html"
 MOST_REASONS = 5
@@ -111,10 +111,10 @@ def fleet(
     )
     found = find_logs(logs, exclude or ())
 
-    def crew() -> AbstractContextManager[Crew[Any]]:
+    def crew() -> AbstractContextManager[Workers[Any]]:
         return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
 
-    met, told = _met(packs, crew, found, job, output) if packs is not None else ([], "")
+    met, told = _health_before_each(packs, crew, found, job, output) if packs is not None else ([], "")
     flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")
     _tell(output, run.rows(output, found, job, met), job, flown, len(found))
     if told:
@@ -133,9 +133,9 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
     return count
 
 
-def _met(
-    packs: Path, crew: Callable[[], AbstractContextManager[Crew[Any]]], found: list[LogFile], job: Job, output: Path
-) -> tuple[list[PackMet], str]:
+def _health_before_each(
+    packs: Path, crew: Callable[[], AbstractContextManager[Workers[Any]]], found: list[LogFile], job: Job, output: Path
+) -> tuple[list[RememberedPack], str]:
     """Fill the ledger in a first pass; return the pack's health before each log, and a line for the user."""
     from uavbatt.fleet import ledger as fleet_ledger
     from uavbatt.fleet import run

@@ -40,7 +40,7 @@ def plan_mission(
 
     from uavbatt.battery import vehicle_file
     from uavbatt.navigation import ReturnSettings, Wind
-    from uavbatt.plan.mission import Planned, make_route_plan
+    from uavbatt.plan.mission import PlannedMission, make_route_plan
     from uavbatt.telemetry.formats.mission_file import read_mission
 
     read, flown = read_mission(mission), vehicle_file.read_vehicle(vehicle)
@@ -54,7 +54,7 @@ def plan_mission(
     settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
-    planned = Planned(read.mission, read.home, settings, flown.powers, air)
+    planned = PlannedMission(read.mission, read.home, settings, flown.powers, air)
     found = make_route_plan(content, resolved, planned, *conditions, remembered)
     report, summary = outputs
     for line in _lines(found, mission.name):

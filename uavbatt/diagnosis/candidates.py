@@ -37,7 +37,7 @@ COURSES: tuple[Course, ...] = get_args(Course)
 
 
 @dataclass(frozen=True, slots=True)
-class Freed:
+class FreeQuantity:
     """Freed is a quantity that a refit frees: QUANTITIES[index] = start + `scale` times u, within its bounds."""
 
     index: int
@@ -77,7 +77,7 @@ class Candidate:
     """
 
     names: tuple[str, ...]
-    freed: tuple[Freed, ...]
+    freed: tuple[FreeQuantity, ...]
     sizes: tuple[int, ...] = ()
     free_start: bool = False
     resized: tuple[str, ...] = ()  # effects of the battery file, refitted with another size
@@ -125,7 +125,7 @@ LEAST_ACTIVATION_SD_K = 300.0
 
 def nuisances(
     file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0), least_activation_sd_K: float = LEAST_ACTIVATION_SD_K
-) -> tuple[Freed, ...]:
+) -> tuple[FreeQuantity, ...]:
     """List the errors of the battery file that all records share, each in u with sd 1.
 
     wear_sd : sd of the fade and growth of a known pack; least_activation_sd_K : least error of the activation
@@ -161,8 +161,8 @@ def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activat
     return max(stated, least_activation_sd_K) if reacts and stated > 0.0 else stated
 
 
-def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:
-    return Freed(INDEX[name], 0.0, sd, -6.0 * sd, 6.0 * sd, log=False, nuisance=True, estimated=estimated)
+def _nuisance(name: str, sd: float, *, estimated: bool = False) -> FreeQuantity:
+    return FreeQuantity(INDEX[name], 0.0, sd, -6.0 * sd, 6.0 * sd, log=False, nuisance=True, estimated=estimated)
 
 
 def base_values(cell: Parameters, installation: Installation) -> Array:
@@ -189,7 +189,7 @@ def candidates(
         free = [q for q in effect.quantities if q.prior_sd > 0.0 and q.fitted]
         if effect.name in listed:  # another size of an effect of the file, not another shape
             free = [q for q in effect.quantities if not q.fitted] or free[:1]
-        freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
+        freed = tuple(_free_quantity(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
         has_it = effect.name in listed and base[INDEX[free[0].name]] != free[0].neutral
@@ -199,7 +199,7 @@ def candidates(
     return found
 
 
-def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
+def _free_quantity(quantity: Quantity, base: float, effect: Effect) -> FreeQuantity:
     """Return the freed quantity: it starts at the file's value if the quantity has an "off", else at its prior."""
     listed = len(effect.quantities) == 1 or base != quantity.neutral
     start = base if listed else quantity.prior
@@ -207,4 +207,4 @@ def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
     scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
     low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
     low = max(low, base) if quantity.name in SLOWING else low
-    return Freed(INDEX[quantity.name], float(start), scale, low, quantity.high, log)
+    return FreeQuantity(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

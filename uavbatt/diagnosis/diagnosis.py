@@ -31,7 +31,7 @@ from uavbatt.diagnosis.residual import Residual, Shape
 from uavbatt.diagnosis.search import SUSPECT, FoundEffect, search, small
 from uavbatt.diagnosis.trial import Trial
 from uavbatt.estimator import PLAIN, Engine
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
@@ -66,7 +66,7 @@ class Diagnosis:
 
 
 def problem_of(
-    records: list[Observed],
+    records: list[ObservedRecord],
     file: BatteryFile,
     pack: Pack,
     states: openloop.States = openloop.states,
@@ -89,7 +89,7 @@ def table_errors(file: BatteryFile) -> TableErrors:
 
 
 def diagnose(
-    records: list[Observed],
+    records: list[ObservedRecord],
     file: BatteryFile,
     pack: Pack,
     without: tuple[str, ...] = (),
@@ -106,16 +106,16 @@ def diagnose(
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states, wear_sd)
-    searched = _searched(problem, file, without, tell)
+    searched = _search_settled(problem, file, without, tell)
     if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
         full = replace(problem, evidence=problem.evidence.believed_full)
-        searched = min(searched, _searched(full, file, without, tell), key=lambda s: s.best.total)
+        searched = min(searched, _search_settled(full, file, without, tell), key=lambda s: s.best.total)
     problem, nothing, best, findings, singles = searched
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
     reasons = doubts(problem, file, findings, best, left)
-    found = tuple(class_of(problem, f, believed(left, reasons)) for f in findings)
+    found = tuple(class_of(problem, f, candidate_probability(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
     if not steady:  # a value that differs between records is a suspect, not for a battery file
@@ -125,7 +125,7 @@ def diagnose(
     may_hide = small(problem, singles) if verdict == "no_missing_effect" else None
     return Diagnosis(
         verdict=verdict,
-        classes=found if may_hide is None else (class_of(problem, may_hide, believed(left, reasons)),),
+        classes=found if may_hide is None else (class_of(problem, may_hide, candidate_probability(left, reasons)),),
         reasons=reasons,
         problem=problem,
         before=nothing,
@@ -140,7 +140,7 @@ def diagnose(
     )
 
 
-class _Searched(NamedTuple):
+class _SearchResult(NamedTuple):
     problem: Problem
     nothing: Refit
     best: Refit
@@ -160,12 +160,14 @@ def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) ->
     )
 
 
-def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
+def _search_settled(
+    problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
+) -> _SearchResult:
     """Search for effects in records whose starts are settled; impossible and known effects are no candidates."""
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-    return _Searched(problem, nothing, *search(problem, options, nothing, lambda fit: explains(problem, fit), tell))
+    return _SearchResult(problem, nothing, *search(problem, options, nothing, lambda fit: explains(problem, fit), tell))
 
 
 def explains(problem: Problem, fit: Refit) -> bool:
@@ -180,14 +182,14 @@ def floor_V(file: BatteryFile, problem: Problem) -> float:
     return float(file.discrepancy.voltage_rmse_V * share)
 
 
-class LeftPerNumber(NamedTuple):
-    """LeftPerNumber holds the chi-square per number that a model leaves."""
+class MisfitPerNumber(NamedTuple):
+    """MisfitPerNumber holds the chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured
 
 
-def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
+def left_per_number(problem: Problem, best: Refit) -> MisfitPerNumber:
     """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
     The prior of those errors counts with the voltage: an error of six standard errors explains nothing.
@@ -199,14 +201,16 @@ def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
     return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
 
 
-def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
+def per_number(problem: Problem, fit: Refit) -> MisfitPerNumber:
     """Return the chi-square per number that a refit leaves of voltage and of temperature."""
     squares, numbers = np.zeros(2), np.zeros(2)
     for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
         first, size = volts.rows.size, temps.rows.size if temps is not None else 0
         squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
         numbers += [first, size]
-    return LeftPerNumber(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
+    return MisfitPerNumber(
+        float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan")
+    )
 
 
 def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
@@ -221,13 +225,13 @@ def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -
     return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
 
 
-def believed(left: LeftPerNumber, reasons: tuple[str, ...]) -> float:
+def candidate_probability(left: MisfitPerNumber, reasons: tuple[str, ...]) -> float:
     """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
 def doubts(
-    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: LeftPerNumber
+    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: MisfitPerNumber
 ) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 

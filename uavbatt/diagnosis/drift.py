@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavbatt.battery.effects import EFFECTS, unit_words
-from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Course, Freed
+from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Course, FreeQuantity
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.simulation import MAY_DRIFT
@@ -34,7 +34,7 @@ def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | 
     if quantity.name not in MAY_DRIFT:
         return None
     widest = quantity.high - quantity.low
-    drift = Freed(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, along=along)
+    drift = FreeQuantity(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, along=along)
     both = found.candidate.plus(Candidate((f"{found.candidate.name} that drifts",), (drift,), (1,)))
     return refit(problem, [both], start=[found], iterations=TURNS)[0]
 

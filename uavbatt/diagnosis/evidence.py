@@ -28,7 +28,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import capacity_sd
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
-from uavbatt.fitting.observed import Observed, Stack
+from uavbatt.fitting.observed import ObservedRecord, Stack
 
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
@@ -106,7 +106,7 @@ def idle_A(evidence: Evidence) -> float:
     return min(means, default=float("inf"))
 
 
-def check_records(records: list[Observed]) -> None:
+def check_records(records: list[ObservedRecord]) -> None:
     """Raise NotEnoughData, with the reason, when the records cannot tell effects apart."""
     if not records:
         raise NotEnoughData("no record has a measured current, and diagnose needs one")
@@ -126,12 +126,12 @@ def check_records(records: list[Observed]) -> None:
         raise NotEnoughData("the load is constant: expected changes of current, because causes look alike without them")
 
 
-def _long_enough(record: Observed) -> bool:
+def _long_enough(record: ObservedRecord) -> bool:
     drawn_Ah = float(np.sum(record.current_A[1:] * np.diff(record.time_s))) / 3600.0
     return record.time_s[-1] - record.time_s[0] >= SHORTEST_S and drawn_Ah >= LEAST_DRAWN * record.capacity_Ah
 
 
-def _change(records: list[Observed]) -> float:
+def _change(records: list[ObservedRecord]) -> float:
     """Return the relative spread of the current under load over all records, without the rows at rest."""
     loads = []
     for record in records:
@@ -141,7 +141,7 @@ def _change(records: list[Observed]) -> float:
     return float(np.std(together) / np.mean(together))
 
 
-def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Array]) -> Evidence:
+def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Array, Array]) -> Evidence:
     """Check, bin and whiten the records. Raises NotEnoughData when they cannot tell effects apart.
 
     ocv_soc : (soc, OCV [V] of a cell) of the battery file, ascending.
@@ -193,7 +193,7 @@ def _wander(file: BatteryFile, cells: float) -> Wander:
     )
 
 
-def _content(record: Observed) -> tuple[float, ...]:
+def _content(record: ObservedRecord) -> tuple[float, ...]:
     """Return a sort key that depends on the measurements, not on the names: sums of the columns."""
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
@@ -212,7 +212,7 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
     return centre, np.where(full, FULL_SD, np.where(stack.rested, 0.03, 0.06)), stack.rested & ~full
 
 
-def noise_V(record: Observed, ohm: float) -> float:
+def noise_V(record: ObservedRecord, ohm: float) -> float:
     """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
 
     It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
@@ -277,7 +277,7 @@ def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) 
     return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)
 
 
-def _shifted(records: list[Observed], stack: Stack) -> Array:
+def _shifted(records: list[ObservedRecord], stack: Stack) -> Array:
     """Return the current `SHIFTS_S` later, averaged in the same way as the record."""
     out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
     for j, record in enumerate(records):

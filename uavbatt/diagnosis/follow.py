@@ -16,7 +16,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
-from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, left_per_number, options_of, problem_of
+from uavbatt.diagnosis.diagnosis import Verdict, candidate_probability, doubts, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related
@@ -25,7 +25,7 @@ from uavbatt.diagnosis.trial import FIRST_TURNS, FURTHER_TURNS, trial
 from uavbatt.diagnosis.worth import at_bound, worth
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import PLAIN, Engine
-from uavbatt.fitting.observed import Observed
+from uavbatt.fitting.observed import ObservedRecord
 
 # Effects that can begin between two flights. The others are properties of the cell, or differ in every flight.
 CAN_BEGIN = (
@@ -68,7 +68,7 @@ class Follow:
 
 
 def follow(
-    records: Sequence[Observed],
+    records: Sequence[ObservedRecord],
     file: BatteryFile,
     pack: Pack,
     without: tuple[str, ...] = (),
@@ -104,12 +104,12 @@ def follow(
         verdict=verdict,
         flights=tuple(names[i] for i in order),
         left_out=tuple(r.name for r in records if r.name not in names),
-        effects=tuple(_told(problem, t, believed(left, why)) for t in traces),
+        effects=tuple(_followed_effect(problem, t, candidate_probability(left, why)) for t in traces),
         reasons=why,
     )
 
 
-class _Tried(NamedTuple):
+class _CourseFit(NamedTuple):
     """_Tried holds the refit of one effect on one course."""
 
     option: Candidate
@@ -177,20 +177,20 @@ def _shortlist(free: list[Candidate], owns: list[FlightValues]) -> list[tuple[Ca
 
 def _refitted(
     problem: Problem, asked: list[tuple[Candidate, Course]], before: Refit, order: Sequence[int]
-) -> list[_Tried]:
+) -> list[_CourseFit]:
     tried = [before.candidate.plus(on_course(option, course, order)) for option, course in asked]
     fits = refit(problem, tried, start=[before] * len(tried), iterations=FIRST_TURNS)
-    return [_Tried(option, course, fit) for (option, course), fit in zip(asked, fits, strict=True)]
+    return [_CourseFit(option, course, fit) for (option, course), fit in zip(asked, fits, strict=True)]
 
 
-def _best(tried: list[_Tried], before: Refit) -> _Tried | None:
+def _best(tried: list[_CourseFit], before: Refit) -> _CourseFit | None:
     """Return the refit with the least chi-square among those worth enough; none that stands at a physical bound."""
     flights = len(before.chi2)
     earned = [t for t in tried if not at_bound(t.fit) and _earned(t, before, flights)]
     return min(earned, key=lambda t: t.fit.total, default=None)
 
 
-def _earned(tried: _Tried, before: Refit, flights: int) -> bool:
+def _earned(tried: _CourseFit, before: Refit, flights: int) -> bool:
     """Return True if an effect is worth more than chance gives; in one flight only, more than a peculiarity gives."""
     its = worth(tried.fit, before)
     if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can confirm it
@@ -198,13 +198,13 @@ def _earned(tried: _Tried, before: Refit, flights: int) -> bool:
     return its.value > EARNED
 
 
-def _chosen(tried: list[_Tried]) -> _Tried:
+def _chosen(tried: list[_CourseFit]) -> _CourseFit:
     """Return the best course; a growing one only if it is clearly better than every steady one."""
     possible = [t for t in tried if not at_bound(t.fit)]
     return min(possible, key=lambda t: t.fit.total - (GROWS if not t.course.grows else 0.0))
 
 
-def _told(problem: Problem, trace: _Trace, sure: float) -> FollowedEffect:
+def _followed_effect(problem: Problem, trace: _Trace, sure: float) -> FollowedEffect:
     """Return the effect for display, with each flight's own value."""
     fit = trace.effect.members[0]
     freed = fit.candidate.freed[fit.candidate.slice_of(trace.effect.name)][0]

@@ -11,7 +11,7 @@ from uavbatt.battery import openloop
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis.candidates import Candidate, Freed
+from uavbatt.diagnosis.candidates import Candidate, FreeQuantity
 from uavbatt.diagnosis.evidence import Evidence, Rows
 
 
@@ -56,8 +56,10 @@ class Problem:
     pack: Pack
     evidence: Evidence
     base: Array
-    nuisances: tuple[Freed, ...]
-    stated: tuple[Freed, ...]  # the same, but no larger than the file states
+    nuisances: tuple[FreeQuantity, ...]
+    stated: tuple[
+        FreeQuantity, ...
+    ]  # the same, but no larger than the file states: errors that may explain a residual away
     tables: TableErrors | None = None
     states: openloop.States = openloop.states  # simulates the records; the command hands in the compiled function
 
@@ -67,7 +69,7 @@ class Refit:
     """Refit holds one candidate at its optimum: u [records, columns] of the solver, nuisances v [records, 3]."""
 
     candidate: Candidate
-    columns: tuple[Freed, ...]  # shared errors of the file, then the candidate's quantities
+    columns: tuple[FreeQuantity, ...]  # shared errors of the file, then the candidate's quantities
     u: Array
     knots: Array  # [records, knots]: errors of the file's tables in standard deviations
     v: Array

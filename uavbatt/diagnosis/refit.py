@@ -89,7 +89,7 @@ def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array,
     du = np.zeros((going.size, *u.shape[1:]))
     du[..., moving] = _step(now, v[going], damping[going])
     du = np.clip(u[going] + du, part.low[:, None], part.high[:, None]) - u[going]
-    dv = _given(now, v[going], du[..., moving], damping[going])
+    dv = _nuisance_step(now, v[going], du[..., moving], damping[going])
     few = np.flatnonzero(_promised(now, v[going], du[..., moving], dv) >= CONVERGED)
     going, now, to_u, to_v = going[few], now.of(few), (u[going] + du)[few], (v[going] + dv)[few]
     if not going.size:
@@ -175,7 +175,7 @@ def _step(s: _Linearised, v: Array, damping: Array) -> Array:
     return np.clip(du, -3.0, 3.0)
 
 
-def _given(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
+def _nuisance_step(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
     """Return the step of the nuisances for a given step of the quantities."""
     _, a_uv, a_vv, _, g_v = _blocks(s, v)
     a_vv = a_vv * (1.0 + damping[:, None, None, None] * np.eye(NUISANCES))

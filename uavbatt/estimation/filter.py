@@ -55,8 +55,8 @@ class BeliefSummary(NamedTuple):
     wear_sd: float = NAN
 
 
-class Filtered(NamedTuple):
-    """Filtered holds the filter after one row: its belief, the belief's summary, and the row against the model.
+class FilterResult(NamedTuple):
+    """FilterResult holds the filter after one row: its belief, the belief's summary, and the row against the model.
 
     The belief is None before the first complete row.
     """
@@ -66,7 +66,7 @@ class Filtered(NamedTuple):
     innovation: Innovation
 
 
-NOT_BEGUN = Filtered(None, BeliefSummary(), NOTHING)
+NOT_BEGUN = FilterResult(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
@@ -98,14 +98,14 @@ class SocFilter:
         at = Moments(belief.means, belief.covariances, np.log(belief.weights))
         air = first_air(belief.ambient_C, is_stated=math.isfinite(self._ambient_C))
         self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), air)
-        self._last = Filtered(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
+        self._last = FilterResult(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; one without voltage or current moves nothing, and its estimate says so."""
         (row,) = self.run([sample], self._in_flight)
         return estimate_of(sample, row)
 
-    def run(self, samples: Sequence[Sample], window: Window = filter_window) -> list[Filtered]:
+    def run(self, samples: Sequence[Sample], window: Window = filter_window) -> list[FilterResult]:
         """Take a window of samples in; the filter stands after the last of them.
 
         window : the recursion over rows (`recursion.filter_window`, or its compiled twin).
@@ -122,12 +122,12 @@ class SocFilter:
             self._state, row = start(self.pack, paired[first], self._ambient_C, self._capacities)
             rows = [*[FilteredRow(None, NAN, NAN, NOTHING)] * first, row]
         more, self._state = window(self.pack, self._state, paired[len(rows) :])
-        found = _filtered(self.pack, [*rows, *more], self._last)
+        found = _results(self.pack, [*rows, *more], self._last)
         self._last = found[-1] if found else self._last
         return found
 
 
-def _filtered(pack: Pack, rows: list[FilteredRow], last: Filtered) -> list[Filtered]:
+def _results(pack: Pack, rows: list[FilteredRow], last: FilterResult) -> list[FilterResult]:
     """Return the filter after each row; the summary of a belief is worked out once and shared by its rows."""
     found = []
     for row in rows:
@@ -139,7 +139,7 @@ def _filtered(pack: Pack, rows: list[FilteredRow], last: Filtered) -> list[Filte
             belief, known = Belief(row.time_s, at.x, at.P, at.weight, row.ambient_C), summary(at, pack.empty_soc_sd)
         else:
             belief = Belief(row.time_s, at.x, at.P, belief.weights, row.ambient_C)
-        last = Filtered(belief, known, row.innovation)
+        last = FilterResult(belief, known, row.innovation)
         found.append(last)
     return found
 
@@ -168,7 +168,7 @@ def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
     )
 
 
-def estimate_of(sample: Sample, row: Filtered, warnings: tuple[str, ...] = ()) -> Estimate:
+def estimate_of(sample: Sample, row: FilterResult, warnings: tuple[str, ...] = ()) -> Estimate:
     """Return a sample's estimate from the filter after it; refused or converging while the charge is little known."""
     known, shown = row.summary, row.innovation
     status, reason = Status.OK, ""

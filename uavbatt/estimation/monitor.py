@@ -22,7 +22,7 @@ from uavbatt.estimation.sensors import (
     REFUSED_STUCK_S,
     STUCK_S,
     LoadWatch,
-    SinceMoved,
+    SensorChanges,
 )
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
@@ -81,7 +81,7 @@ class Innovations(NamedTuple):
 class Monitor(NamedTuple):
     """Monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
 
-    readings: SinceMoved = SinceMoved()
+    readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior

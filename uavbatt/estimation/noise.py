@@ -67,7 +67,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
     return shares[0] + (shares[1] - shares[0]) * weight
 
 
-class First(NamedTuple):
+class FirstBelief(NamedTuple):
     """First holds the first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
@@ -75,7 +75,7 @@ class First(NamedTuple):
     covariance: Array
 
 
-def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> First:
+def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> FirstBelief:
     """Return the first belief about a cell, from its voltage `cell_V` [V] under `rate_c` [1/h] in the first row.
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it. Harness, grown resistance and a
@@ -101,7 +101,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however large the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
-    return First(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
+    return FirstBelief(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 
 
 def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:

@@ -20,7 +20,7 @@ LOADED_C_RATE = 0.4
 DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
 
 
-class Still(NamedTuple):
+class LastChange(NamedTuple):
     """Still follows one reading since its last change.
 
     value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
@@ -33,32 +33,32 @@ class Still(NamedTuple):
     rows: int = 0
     habit: float = 0.0
 
-    def after(self, time_s: float, value: float) -> Still:
+    def after(self, time_s: float, value: float) -> LastChange:
         """Return the same with one more reading."""
         if value == self.value:
             return self._replace(rows=self.rows + 1)
         change = abs(value - self.value)
         step = min(self.step, change) if math.isfinite(change) else self.step
         habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
-        return Still(value, time_s, step, 0, habit)
+        return LastChange(value, time_s, step, 0, habit)
 
     def age_s(self, time_s: float) -> float:
         """Return the time since its last change [s]; 0 before the first reading."""
         return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
 
 
-class SinceMoved(NamedTuple):
+class SensorChanges(NamedTuple):
     """SinceMoved follows voltage and current since their last changes, the charge drawn, and turns of the voltage."""
 
     time_s: float = math.nan
-    voltage: Still = Still()
-    current: Still = Still()
+    voltage: LastChange = LastChange()
+    current: LastChange = LastChange()
     drawn_Ah: float = 0.0  # since the voltage last moved
     turn_V: float = math.nan  # highest while it rises, lowest while it falls
     is_rising: bool = False
     turns: int = 0  # since the current last moved
 
-    def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> SinceMoved:
+    def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> SensorChanges:
         """Return the same with one more row."""
         dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
         voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
@@ -69,7 +69,7 @@ class SinceMoved(NamedTuple):
             turn_V = voltage_V
         elif abs(step_V) > TURN_CELL_V * cells:
             turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
-        return SinceMoved(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
+        return SensorChanges(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
 
     def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
         """Return how long the voltage is constant although the charge drawn must have moved it [s]; 0 if sound."""
@@ -93,7 +93,7 @@ class LoadWatch(NamedTuple):
     time_s: float = math.nan
     voltage_V: float = math.nan
     current_A: float = math.nan
-    owed_V: float = math.nan  # the rise of the voltage that the model expects without the load
+    expected_rise_V: float = math.nan  # the rise of the voltage that the model expects without the load
     gone_since_s: float = math.nan  # NaN while the sensor is sound
 
     def after(
@@ -110,7 +110,10 @@ class LoadWatch(NamedTuple):
                 current_A + keep * (self.current_A - current_A),
             )
         is_new = not math.isfinite(self.gone_since_s)
-        owed_V = predicted_V - self.voltage_V if is_new else self.owed_V
-        if not owed_V > LEAST_RISE_CELL_V * cells or voltage_V - self.voltage_V > RECOVERED_SHARE * owed_V:
+        expected_rise_V = predicted_V - self.voltage_V if is_new else self.expected_rise_V
+        if (
+            not expected_rise_V > LEAST_RISE_CELL_V * cells
+            or voltage_V - self.voltage_V > RECOVERED_SHARE * expected_rise_V
+        ):
             return LoadWatch(time_s, voltage_V, current_A)
-        return self._replace(owed_V=owed_V, gone_since_s=time_s if is_new else self.gone_since_s)
+        return self._replace(expected_rise_V=expected_rise_V, gone_since_s=time_s if is_new else self.gone_since_s)

@@ -11,15 +11,15 @@ import numpy as np
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
-from uavbatt.battery.sizing import PackOptions, PackSize, believed, size_of_pack
-from uavbatt.battery.statements import first_seen
+from uavbatt.battery.sizing import PackOptions, PackSize, possible_facts, size_of_pack
+from uavbatt.battery.statements import first_voltages
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import BatteryFit, OwnPrior
-from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
+from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt
 from uavbatt.records import Flight, PackFacts
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
@@ -126,7 +126,7 @@ def size_of(
     if series is None:
         raise UsageError("cells: neither a data set nor a vehicle states them: give --cells")
     _check_caller(series if cells else None, cutoff_V, series, datasets, flights)
-    found = [believed(f.facts_at(np.inf), series) for f in flights]
+    found = [possible_facts(f.facts_at(np.inf), series, FirstVoltages()) for f in flights]
     facts, notices = [said for said, _ in found], dict.fromkeys(n for _, words in found for n in words)
     stated = [d.capacity_Ah for d in datasets if d.capacity_Ah] + [f.capacity_Ah for f in facts]
     capacity = _first([capacity_Ah, *stated])
@@ -141,7 +141,7 @@ def size_of(
 def _flown_cells(flight: Flight) -> int | None:
     """Return the cells that a vehicle states, unless its first voltages contradict them."""
     cells = flight.facts_at(np.inf).cells_series
-    doubt = cells_doubt(cells, first_seen(flight.samples), Resting()) if cells else None
+    doubt = cells_doubt(cells, first_voltages(flight.samples), Resting()) if cells else None
     return None if doubt is not None and doubt.is_certain else cells
 
 
@@ -154,8 +154,8 @@ def _check_caller(
         raise UsageError(doubt.words)
     if cells is None:
         return
-    firsts = [(str(d.path), Seen(d.first_V)) for d in datasets]
-    for source, seen in firsts + [(f.source, first_seen(f.samples)) for f in flights]:
+    firsts = [(str(d.path), FirstVoltages(d.first_V)) for d in datasets]
+    for source, seen in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
         doubt = cells_doubt(cells, seen, Resting())
         if doubt is not None and doubt.is_certain:
             raise UsageError(f"{source}: --cells: {doubt.words}")

@@ -29,8 +29,8 @@ LEAST_ROWS, LEAST_BINS = 10, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
-    """Observed holds one record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN: unknown)."""
+class ObservedRecord:
+    """ObservedRecord holds rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN: unknown)."""
 
     name: str
     time_s: Array
@@ -63,7 +63,7 @@ class Stack:
     rested: Array
 
 
-def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Observed]:
+def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[ObservedRecord]:
     """Return the runs of a data set whose current was measured throughout.
 
     Raises NotEnoughData when neither `capacity_Ah` [Ah] nor the data set states a capacity.
@@ -72,7 +72,7 @@ def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Obs
     if capacity is None:
         raise NotEnoughData(f"{dataset.path}: battery.toml: expected capacity_Ah to scale the measured current")
     return [
-        Observed(
+        ObservedRecord(
             name=f"{dataset.name} sample {run.sample} run {run.run} at {run.ambient_C:g} °C",
             time_s=run.time_s,
             voltage_V=run.voltage_V,
@@ -104,7 +104,9 @@ def held_load(time_s: Array, current_A: Array) -> Array:
     return held_A
 
 
-def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C: float = BOARD_START_C) -> Observed:
+def from_flight(
+    flight: Flight, cells: int, capacity_Ah: float, hottest_start_C: float = BOARD_START_C
+) -> ObservedRecord:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
     A temperature that a replay would not use (impossible, of a board, of the motor controllers) counts as not measured.
@@ -117,12 +119,12 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C:
     if len(rows) < LEAST_ROWS:
         said = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {said}")
-    cleaner = Cleaner(hottest_start_C=hottest_start_C).told(flight.facts_at(rows[-1].time_s))
+    cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
     temp_C = []
     for row in rows:
         cleaner, cleaned = cleaner.clean(row)
         temp_C.append(cleaned.temp_C)
-    record = Observed(
+    record = ObservedRecord(
         name=flight.source,
         time_s=np.array([s.time_s for s in rows]),
         voltage_V=np.array([s.voltage_V for s in rows]),
@@ -139,13 +141,13 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C:
     return _merged(record, index) if times_s.size < len(rows) else record
 
 
-def until(record: Observed, time_s: float) -> Observed:
+def until(record: ObservedRecord, time_s: float) -> ObservedRecord:
     """Return the record up to `time_s` [s]."""
     keep = record.time_s <= time_s
     return _mapped(record, lambda column: column[keep])
 
 
-def _mapped(record: Observed, change: Callable[[Array], Array]) -> Observed:
+def _mapped(record: ObservedRecord, change: Callable[[Array], Array]) -> ObservedRecord:
     return replace(
         record,
         time_s=change(record.time_s),
@@ -155,7 +157,7 @@ def _mapped(record: Observed, change: Callable[[Array], Array]) -> Observed:
     )
 
 
-def binned(record: Observed) -> Observed:
+def binned(record: ObservedRecord) -> ObservedRecord:
     """Return the record as means over bins of BIN_S where rows come faster; the record itself otherwise.
 
     Raises NotEnoughData when its rows lie in fewer than LEAST_BINS bins: they have no slope.
@@ -173,7 +175,7 @@ def binned(record: Observed) -> Observed:
     return merged
 
 
-def _merged(record: Observed, index: NDArray[np.intp]) -> Observed:
+def _merged(record: ObservedRecord, index: NDArray[np.intp]) -> ObservedRecord:
     """Return the record as means of rows with the same index; the indices count up from 0 without a gap."""
     count = np.bincount(index)
 
@@ -184,7 +186,7 @@ def _merged(record: Observed, index: NDArray[np.intp]) -> Observed:
     return _mapped(record, mean)
 
 
-def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
+def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
     """Bin, split and pad the records to the same length, side by side.
 
     sigma_V : from `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage, because near the
@@ -226,14 +228,14 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
     )
 
 
-def _start_temp(record: Observed) -> float:
+def _start_temp(record: ObservedRecord) -> float:
     known = record.temp_C[np.isfinite(record.temp_C)][:8]
     if known.size:
         return float(np.median(known))
     return record.ambient_C if np.isfinite(record.ambient_C) else 22.0
 
 
-def _split(record: Observed) -> dict[str, Array]:
+def _split(record: ObservedRecord) -> dict[str, Array]:
     """Return the rows with steps filled in between them; `real` is 1 at measured rows."""
     time_s = record.time_s
     spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])

@@ -53,17 +53,17 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class PackMet:
-    """PackMet holds the ledger's view of one log's pack: its health by earlier flights, and this flight's findings."""
+class RememberedPack:
+    """RememberedPack holds what the ledger knows of one log's pack: its health before, and this flight's findings."""
 
     health: PackHealth | None = None
     findings: tuple[str, ...] = ()
 
 
-NOT_MET = PackMet()
+NOT_MET = RememberedPack()
 
 
-def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
+def fly_log(log: LogFile, job: Job, met: RememberedPack = NOT_MET) -> FlightRow:
     """Return the row of one log; no content of the log makes it raise an error."""
     try:
         return _flown(read(log, job), log, job, met)
@@ -104,7 +104,7 @@ def lost_row(log: LogFile, reason: str, job: Job) -> FlightRow:
     return bad_row(log, job, reason, LOST)
 
 
-def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
+def _flown(flight: Flight, log: LogFile, job: Job, met: RememberedPack) -> FlightRow:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
     estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, met.health)

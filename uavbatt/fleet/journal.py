@@ -20,7 +20,7 @@ from uavbatt import __version__
 from uavbatt.battery.battery_file import content_hash
 from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
-from uavbatt.fleet.fly import NOT_MET, Job, PackMet
+from uavbatt.fleet.fly import NOT_MET, Job, RememberedPack
 from uavbatt.fleet.lesson import Lesson
 from uavbatt.fleet.logs import LogFile
 from uavbatt.fleet.row import LOST, FlightRow
@@ -28,7 +28,7 @@ from uavbatt.fleet.row import LOST, FlightRow
 Row = TypeVar("Row", FlightRow, Lesson)
 
 
-def key(log: LogFile, job_key: str, met: PackMet = NOT_MET) -> str:
+def key(log: LogFile, job_key: str, met: RememberedPack = NOT_MET) -> str:
     """Return the key under which a finished row is kept."""
     pack = ""
     if met != NOT_MET:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from uavbatt.errors import UavbattError
-from uavbatt.fleet.fly import NOT_MET, PackMet
+from uavbatt.fleet.fly import NOT_MET, RememberedPack
 from uavbatt.fleet.lesson import Lesson
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 
@@ -43,7 +43,7 @@ def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> LedgerUpdate:
 
 def packs_met(
     ledger: Ledger, lessons: Iterable[Numbered], filled: LedgerUpdate, logs: int, battery_sha256: str
-) -> list[PackMet]:
+) -> list[RememberedPack]:
     """Return the pack of each log with its health before that log; the ledger must be filled."""
     found = [NOT_MET] * logs
     for name, flights in _by_pack(lessons).items():
@@ -54,7 +54,7 @@ def packs_met(
             own = (after for after in every if after.flight.is_of(lesson.key, lesson.start_utc_s))
             words = [finding.words for after in own for finding in after.findings]
             words += [filled.left_out[number]] if number in filled.left_out else []
-            found[number] = PackMet(health, tuple(f"pack {name}: {one}" for one in words))
+            found[number] = RememberedPack(health, tuple(f"pack {name}: {one}" for one in words))
     return found
 
 

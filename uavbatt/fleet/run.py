@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from uavbatt.errors import MissingExtra
 from uavbatt.fleet import fly, journal, lesson, tables
 from uavbatt.fleet.errand import Errand, Row
-from uavbatt.fleet.fly import NOT_MET, Job, PackMet
+from uavbatt.fleet.fly import NOT_MET, Job, RememberedPack
 from uavbatt.fleet.journal import Journal
 from uavbatt.fleet.lesson import Lesson, lesson_of
 from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
@@ -28,8 +28,8 @@ from uavbatt.fleet.row import FlightRow, row_of
 _UNDER_WAY_PER_WORKER = 3
 
 
-class Crew(Protocol[Row]):
-    """Crew is the interface of a group of workers."""
+class Workers(Protocol[Row]):
+    """Workers is the interface of a group of workers."""
 
     size: int
 
@@ -65,7 +65,7 @@ def check_extra(scheduler: str | None = None) -> None:
 
 
 @contextmanager
-def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]:
+def connected(workers: int, scheduler: str | None = None) -> Iterator[Workers[Any]]:
     """Yield the crew of an existing Dask cluster, or of `workers` processes here that end with the block.
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
@@ -81,7 +81,7 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]
 
 
 def learn_all(
-    crew: AbstractContextManager[Crew[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
+    crew: AbstractContextManager[Workers[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
 ) -> Iterator[FinishedLog]:
     """Work out the record of each flight for the ledger, for all logs that `folder` does not have; yield finished ones.
 
@@ -104,11 +104,11 @@ def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[i
 
 
 def run_fleet(
-    crew: AbstractContextManager[Crew[FlightRow]],
+    crew: AbstractContextManager[Workers[FlightRow]],
     logs: Sequence[LogFile],
     job: Job,
     folder: Path,
-    met: Sequence[PackMet] = (),
+    met: Sequence[RememberedPack] = (),
 ) -> Iterator[FinishedLog]:
     """Replay every log without a row in `folder`, then write its tables; yield the finished logs.
 
@@ -129,13 +129,13 @@ def run_fleet(
         done.tidy()
 
 
-def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[PackMet] = ()) -> Iterator[FlightRow]:
+def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack] = ()) -> Iterator[FlightRow]:
     """Yield the rows of a finished run, one at a time."""
     with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as done:
         yield from (row for _, row in done.rows())
 
 
-def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[PackMet]) -> list[str]:
+def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack]) -> list[str]:
     job_key = journal.job_key(job)
     return [journal.key(log, job_key, one) for log, one in zip(logs, met or [NOT_MET] * len(logs), strict=True)]
 
@@ -150,7 +150,7 @@ def _numbers(keys: Sequence[str]) -> dict[str, int]:
 
 
 def _worked_off(
-    crew: AbstractContextManager[Crew[journal.Row]],
+    crew: AbstractContextManager[Workers[journal.Row]],
     errand: Callable[[int, int], Errand[journal.Row]],
     keys: Sequence[str],
     done: Journal[journal.Row],
@@ -170,7 +170,7 @@ def _worked_off(
 
 
 def _sent_out(
-    crew: Crew[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
+    crew: Workers[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
 ) -> Iterator[tuple[int, Row]]:
     """Send out the errands, and yield (number of the log, its row) as they come back."""
     each, sent = len(to_do) // crew.size, 0

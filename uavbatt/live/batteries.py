@@ -105,7 +105,7 @@ class Batteries:
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
-        flying_s, flown = row.sample.time_s - tracked.estimator.flying_since_s, tracked.flown
+        flying_s, flown = row.sample.time_s - tracked.estimator.flying_since_s, tracked.flight_so_far
         report = Report(
             instance=instance,
             system=vehicle.system,

@@ -183,7 +183,9 @@ class Daemon:
         trend = self.board.trend
         trend.look(now_s, reports)
         counts = {**self._listener.counts, **self._counts}
-        self.board = Board(tuple(reports), tuple(notes), counts, trend, self._link.problem, tuple(self._sender.said))
+        self.board = Board(
+            tuple(reports), tuple(notes), counts, trend, self._link.problem, tuple(self._sender.announcements)
+        )
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:

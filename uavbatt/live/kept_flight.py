@@ -37,7 +37,7 @@ class FlightInAir:
         """Return True if no write is queued; a queued one will take all rows that are there by then."""
         return self.writing is None or self.writing.running() or self.writing.done()
 
-    def taken(self) -> list[Sample]:
+    def take_rows(self) -> list[Sample]:
         """Remove and return the rows that wait."""
         return [self.rows.popleft() for _ in range(len(self.rows))]
 
@@ -47,8 +47,8 @@ class FlightInAir:
 
 
 @dataclass(slots=True)
-class KeptBattery:
-    """KeptBattery holds the pack name of one battery, its health, its rows on the ground, and its flight."""
+class LedgerBattery:
+    """LedgerBattery holds the pack name of one battery, its health, its rows on the ground, and its flight."""
 
     name: str
     health: Future[PackHealth | None]

@@ -23,9 +23,9 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.live.kept_flight import FlightInAir, KeptBattery
+from uavbatt.live.kept_flight import FlightInAir, LedgerBattery
 from uavbatt.packs import airborne
-from uavbatt.packs.airborne import Airborne, LeftOver
+from uavbatt.packs.airborne import Airborne, UnfinishedFlight
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.remembering import flight_for_ledger, health_before
 from uavbatt.records import Flight, Identity, PackFacts, Sample
@@ -53,8 +53,8 @@ class PackKeeper:
         """Open the ledger; `utc_s` turns a monotonic time [s] into seconds since 1970, NaN without a set clock."""
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
-        self._kept: dict[int, KeptBattery] = {}
-        self._landing: deque[tuple[KeptBattery, FlightInAir]] = deque(maxlen=MOST_LANDING)  # not yet in the ledger
+        self._kept: dict[int, LedgerBattery] = {}
+        self._landing: deque[tuple[LedgerBattery, FlightInAir]] = deque(maxlen=MOST_LANDING)  # not yet in the ledger
         self.note = ""
         self._ledger = Ledger(path)
         self._left_over = {left.number: left for left in airborne.left_over(self._ledger)}
@@ -84,8 +84,8 @@ class PackKeeper:
             self.note = f"pack ledger: batteries {first} and {instance} are both called {name}: only {first} is kept"
             return None
         if kept is None:
-            health = self._worker.submit(self._noting_errors, self._met, name, now_s)
-            self._kept[instance] = kept = KeptBattery(name, health)
+            health = self._worker.submit(self._noting_errors, self._look_up, name, now_s)
+            self._kept[instance] = kept = LedgerBattery(name, health)
         kept.cycles = cycles if cycles is not None else kept.cycles
         return kept.health
 
@@ -117,7 +117,7 @@ class PackKeeper:
             wait_s = 0.0 if self._utc_s(now_s) - left.last_utc_s > RESUMED_WITHIN_S else FLIGHT_SILENT_S + FLUSH_S
             if now_s >= self._ask_s.setdefault(number, now_s + wait_s):
                 del self._left_over[number], self._ask_s[number]
-                self._worker.submit(self._noting_errors, self._learned_unless_grown, left)
+                self._worker.submit(self._noting_errors, self._learn_unless_grown, left)
 
     def close(self, now_s: float) -> None:
         """Write all rows that wait; a flight that is still in the air stays open in the ledger."""
@@ -128,7 +128,7 @@ class PackKeeper:
         self._worker.shutdown()
         self._ledger.close()
 
-    def _take_off(self, kept: KeptBattery, now_s: float, cells: int, capacity_Ah: float) -> None:
+    def _take_off(self, kept: LedgerBattery, now_s: float, cells: int, capacity_Ah: float) -> None:
         """Begin a flight when the pack is armed, or go on with the flight of a process that died."""
         every = [left for left in list(self._left_over.values()) if left.flight.name == kept.name]
         left = next((left for left in reversed(every) if self._is_resumable(left, now_s)), None)
@@ -143,12 +143,12 @@ class PackKeeper:
         kept.flying = FlightInAir(flight, start_s)
         self._flush(kept, kept.flying, now_s)
 
-    def _is_resumable(self, left: LeftOver, now_s: float) -> bool:
+    def _is_resumable(self, left: UnfinishedFlight, now_s: float) -> bool:
         """Return True if the flight may still be in the air; False if a clock was not set, so that its age is
         unknown."""
         return 0.0 <= self._utc_s(now_s) - left.last_utc_s <= RESUMED_WITHIN_S
 
-    def _flush(self, kept: KeptBattery, flying: FlightInAir, now_s: float) -> None:
+    def _flush(self, kept: LedgerBattery, flying: FlightInAir, now_s: float) -> None:
         kept.flushed_s = now_s
         kept.hand_over(flying)
         if flying.is_to_be_written:
@@ -158,14 +158,14 @@ class PackKeeper:
         """Store a flight and its rows; rows that cannot be written now are stored the next time."""
         if flying.number is None:
             flying.number = airborne.store_flight(self._ledger, flying.flight)
-        rows = flying.taken()
+        rows = flying.take_rows()
         try:
             airborne.store_rows(self._ledger, flying.number, rows)
         except UavbattError:
             flying.give_back(rows)
             raise
 
-    def _land(self, kept: KeptBattery) -> None:
+    def _land(self, kept: LedgerBattery) -> None:
         """End the flight and save its record, which counts the next time the pack is connected."""
         if kept.flying is None:
             return
@@ -179,7 +179,7 @@ class PackKeeper:
             kept, flying = self._landing.popleft()
             kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
 
-    def _landed(self, kept: KeptBattery, flying: FlightInAir) -> PackHealth | None:
+    def _landed(self, kept: LedgerBattery, flying: FlightInAir) -> PackHealth | None:
         """Save the record of a flight, and return the new health of the pack."""
         try:
             self._write(flying)
@@ -188,7 +188,7 @@ class PackKeeper:
                 self._landing.append((kept, flying))
             raise
         assert flying.number is not None
-        self._learned(flying.number)
+        self._learn(flying.number)
         return self._recalled(kept.name, kept.last_s)
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
@@ -201,7 +201,7 @@ class PackKeeper:
             self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
         return None
 
-    def _met(self, name: str, now_s: float) -> PackHealth | None:
+    def _look_up(self, name: str, now_s: float) -> PackHealth | None:
         health = self._recalled(name, now_s)
         self.note = f"pack {name}: {'met before' if health is not None else 'new'}"
         return health
@@ -210,18 +210,18 @@ class PackKeeper:
         last = self._ledger.last(name)
         return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
 
-    def _learned_unless_grown(self, was: LeftOver) -> None:
+    def _learn_unless_grown(self, was: UnfinishedFlight) -> None:
         """Save the flight of an earlier process, or wait longer if it has new rows or its number is reused."""
         now = self._airborne(was.number)
         if now is not None and (now.flight != was.flight or len(now.rows) > len(was.rows)):
             self._left_over[now.number] = now
         else:
-            self._learned(was.number)
+            self._learn(was.number)
 
-    def _airborne(self, number: int) -> LeftOver | None:
+    def _airborne(self, number: int) -> UnfinishedFlight | None:
         return next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
 
-    def _learned(self, number: int) -> None:
+    def _learn(self, number: int) -> None:
         left = self._airborne(number)
         if left is None:
             return

@@ -160,7 +160,7 @@ class Proxy:
     def turn(self, now_s: float) -> None:
         """Pass on what has come in."""
         for kind, body in self.control.read():
-            self._told(kind, body, now_s)
+            self._take_message(kind, body, now_s)
         for station in self.stations:
             for data, sender in station.read(now_s):
                 self.autopilot.write(data, now_s)
@@ -233,7 +233,7 @@ class Proxy:
         for station in self.stations:
             station.write(data, now_s)
 
-    def _told(self, kind: bytes, body: bytes, now_s: float) -> None:
+    def _take_message(self, kind: bytes, body: bytes, now_s: float) -> None:
         if kind == ESTIMATE:
             self.rewriter.take(body)
         elif kind == TO_GCS:

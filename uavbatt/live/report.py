@@ -213,4 +213,4 @@ class Board:
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
     problem: str = ""  # why the autopilot's link is not open
-    said: tuple[tuple[float, str], ...] = ()  # announcements: (monotonic time [s], text)
+    announcements: tuple[tuple[float, str], ...] = ()  # (monotonic time [s], text)

@@ -19,7 +19,7 @@ from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.sections import HIGHEST_CELL_V, Capacity, Cells
 from uavbatt.battery.state_space import SIZE, X, mixed_covariance
-from uavbatt.estimator import Past
+from uavbatt.estimator import EstimatorMemory
 from uavbatt.limits import HIGHEST_C_RATE
 from uavbatt.records import PackFacts
 
@@ -65,7 +65,7 @@ class SavedBattery:
     facts: PackFacts
     consumed_Ah: float
     current_A: float
-    past: Past
+    past: EstimatorMemory
     fullest_cell_V: FullestCell = ORDINARY_FULL_V
 
 
@@ -125,7 +125,7 @@ def _implausible_memory(was: SavedBattery) -> str:
             largest = min(largest, largest_W)
         if not (math.isnan(number) or abs(number) <= largest):
             return f"a memory of {name.strip('_')} {number:g}"
-    flown = was.past.forecaster.flown
+    flown = was.past.forecaster.flight
     if flown.flown_s < 0.0 or abs(flown.flown_J) > largest_W * flown.flown_s:
         return f"a memory of {flown.flown_J:g} J in {flown.flown_s:g} s"
     if not was.past.forecaster.route.is_possible:
@@ -133,7 +133,7 @@ def _implausible_memory(was: SavedBattery) -> str:
     expected = was.past.forecaster.at_take_off
     if expected is not None and not expected.is_possible:
         return "a memory of a take-off that no forecast gives"
-    if not flown.load.flown.is_possible:
+    if not flown.load.history.is_possible:
         return "a memory of powers that no flight asks"
     return ""
 

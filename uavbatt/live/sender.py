@@ -44,7 +44,7 @@ class Sender:
         self._announcers: dict[int, Announcer] = {}
         self._beat_s = self._look_s = float("-inf")
         self._system: int | None = None  # the followed vehicle's
-        self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
+        self.announcements: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (time [s], text)
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
         """Send all that is due at `now_s` on the monotonic clock [s]."""
@@ -88,7 +88,7 @@ class Sender:
         """
         before, self._system = self._system, following.vehicle.system if following.vehicle is not None else None
         if words := following.words:
-            self.said.append((now_s, words))
+            self.announcements.append((now_s, words))
             if "named" in self._config.feed.kinds:
                 outs = [
                     self._out(system, self._config.link.own_component) for system in (before, self._system) if system
@@ -113,7 +113,7 @@ class Sender:
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
             made += announcer.texts(now_s, report, vehicle.armed, is_airborne, report is reports[0])
-        self.said.extend((now_s, text) for _, text in made)
+        self.announcements.extend((now_s, text) for _, text in made)
         return made
 
     def _to_gcs(self, frame: bytes, now_s: float) -> None:

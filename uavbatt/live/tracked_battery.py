@@ -17,12 +17,12 @@ from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import CapacityNotStated, UavbattError
 from uavbatt.estimator import Estimator
-from uavbatt.limits import Seen
+from uavbatt.limits import FirstVoltages
 from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
-from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
@@ -55,10 +55,10 @@ class TrackedBattery:
         self.resumed = ""  # whether the saved state was resumed, in words; empty if there is none
 
     @property
-    def flown(self) -> Flown:
+    def flight_so_far(self) -> FlightSoFar:
         """Return energy and time of the flight so far, as its forecasts use them."""
         past = self.estimator.past
-        return past.forecaster.flown if past is not None else Flown()
+        return past.forecaster.flight if past is not None else FlightSoFar()
 
     def is_open_to_memory(self, armed: bool | None) -> bool:
         """Return True if the pack's health from the ledger may be used: on the ground, or before a state is resumed."""
@@ -149,8 +149,10 @@ class TrackedBattery:
         try:
             if why_not := implausible(was):
                 return f"the saved state holds {why_not}"
-            seen, rested_V = Seen(sample.voltage_V), was.cells * was.fullest_cell_V
-            pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=seen, rested_V=rested_V)
+            voltages, rested_V = FirstVoltages(sample.voltage_V), was.cells * was.fullest_cell_V
+            pack = size_of_pack(
+                self._battery, self._options, was.facts, was.cells, voltages=voltages, rested_V=rested_V
+            )
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
             at_s = sample.time_s - age_s

@@ -60,7 +60,9 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
         "reason": first["reason"] if first else board.problem or NOTHING_YET,
         "batteries": batteries,
         "notes": list(board.notes),
-        "said": [{"age_s": round(now_s - at, 1), "text": text} for at, text in board.said if now_s - at <= SAID_S],
+        "said": [
+            {"age_s": round(now_s - at, 1), "text": text} for at, text in board.announcements if now_s - at <= SAID_S
+        ],
         "counts": dict(board.counts),
         "clock_s": round(now_s, 2),
         "version": __version__,

@@ -168,7 +168,7 @@ def replay(
     flight = _flight(log, instance)
     if mission is not None:
         flight = with_mission(flight, read_mission(mission))
-    options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
+    options = PackOptions(cells, capacity_Ah, cutoff_V, names=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
     health = _recalled(packs, pack, flight, content, options)

@@ -95,15 +95,15 @@ def days_between(earlier: FlightRecord, start_utc_s: float) -> float:
     return (start_utc_s - earlier.start_utc_s) / SECONDS_A_DAY
 
 
-def updated(known: PackBelief, told_mean: Array, told_covariance: Array) -> PackBelief:
+def updated(known: PackBelief, evidence_mean: Array, evidence_covariance: Array) -> PackBelief:
     """Return a belief after a Kalman update with the evidence of a flight: its mean [2] and covariance [2, 2].
 
     The Joseph form is not needed for two numbers of similar size.
     """
-    spread = H @ known.covariance @ H.T + told_covariance
+    spread = H @ known.covariance @ H.T + evidence_covariance
     gain = np.linalg.solve(spread, H @ known.covariance).T
     covariance = known.covariance - gain @ spread @ gain.T
-    return PackBelief(known.mean + gain @ (told_mean - H @ known.mean), 0.5 * (covariance + covariance.T))
+    return PackBelief(known.mean + gain @ (evidence_mean - H @ known.mean), 0.5 * (covariance + covariance.T))
 
 
 def oddness(known: PackBelief, flight: FlightRecord, doubt: Array) -> Array:

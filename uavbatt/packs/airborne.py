@@ -27,8 +27,8 @@ class Airborne(NamedTuple):
     cycles: int | None = None
 
 
-class LeftOver(NamedTuple):
-    """LeftOver holds a flight and its rows that an earlier process left open in the ledger."""
+class UnfinishedFlight(NamedTuple):
+    """UnfinishedFlight holds a flight and its rows that an earlier process left open in the ledger."""
 
     number: int
     flight: Airborne
@@ -57,7 +57,7 @@ def store_rows(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
         connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
 
 
-def left_over(ledger: Ledger) -> list[LeftOver]:
+def left_over(ledger: Ledger) -> list[UnfinishedFlight]:
     """Return the flights that are still open in the ledger."""
     with ledger.reading() as connection:
         found = connection.execute("SELECT * FROM airborne ORDER BY id").fetchall()
@@ -70,10 +70,10 @@ def delete_flight(ledger: Ledger, number: int) -> None:
         connection.execute("DELETE FROM airborne WHERE id = ?", (number,))
 
 
-def _left_over(connection: sqlite3.Connection, row: sqlite3.Row) -> LeftOver:
+def _left_over(connection: sqlite3.Connection, row: sqlite3.Row) -> UnfinishedFlight:
     with reading(row):
         pack = Airborne(row["name"], _known(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
-        return LeftOver(int(row["id"]), pack, _rows(connection, int(row["id"])))
+        return UnfinishedFlight(int(row["id"]), pack, _rows(connection, int(row["id"])))
 
 
 def _rows(connection: sqlite3.Connection, number: int) -> tuple[Sample, ...]:

@@ -43,11 +43,11 @@ def doubt_of(flight: FlightRecord) -> tuple[str, str] | None:
         is_unknown = value is None or (math.isnan(value) and key not in NEEDED)
         if not is_unknown and not low <= value <= high:
             return key, f"{low:g} to {high:g}, found {value:g}"
-    words = _told_doubt(flight)
+    words = _evidence_doubt(flight)
     return ("told", words) if words else None
 
 
-def _told_doubt(flight: FlightRecord) -> str:
+def _evidence_doubt(flight: FlightRecord) -> str:
     """Return what was expected of the evidence of a flight; empty if the evidence is possible."""
     told = flight.told
     for log, (low, high) in ((told.log_ohm, OHM), (told.log_Ah, AH)):

@@ -39,14 +39,14 @@ def plain_pack(ledger: Ledger, name: str) -> dict[str, Any]:
     return {"format": FORMAT, "version": VERSION, "name": name, "flights": flights}
 
 
-class CarriedPack(NamedTuple):
+class ImportedPack(NamedTuple):
     """A CarriedPack holds a pack that was read from its file and checked."""
 
     name: str
     flights: tuple[FlightRecord, ...]
 
 
-def read_pack(path: Path) -> CarriedPack:
+def read_pack(path: Path) -> ImportedPack:
     """Read a pack's file. Raises BadInput that names the value that no ledger can hold."""
     try:
         content = msgspec.json.decode(read_bounded(path, MOST_BYTES, KIND), type=PackFile)
@@ -62,10 +62,10 @@ def read_pack(path: Path) -> CarriedPack:
         if flight.cells != flights[0].cells:
             said = f"{flights[0].cells} as in the first flight, found {flight.cells}"
             raise BadInput(path, f"flight {number}, key cells", said)
-    return CarriedPack(content.name, flights)
+    return ImportedPack(content.name, flights)
 
 
-def import_pack(ledger: Ledger, pack: CarriedPack) -> str:
+def import_pack(ledger: Ledger, pack: ImportedPack) -> str:
     """Save the flights of a pack, and return its name; flights that are there already count once."""
     ledger.save_all(pack.name, pack.flights)
     return pack.name

@@ -55,7 +55,7 @@ class Ledger:
         self.path = Path(path)
         self._connection = _opened(self.path, only_read)
         try:
-            with self._told():
+            with self._named_errors():
                 now = schema.check_schema(self._connection, self.path)
             if only_read and now == 0:
                 raise BadInput(self.path, "", "a pack ledger, found an empty file")
@@ -77,7 +77,7 @@ class Ledger:
         self._connection.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _named_errors(self) -> Iterator[None]:
         """Turn errors of SQLite and damaged rows into one line that names the file."""
         try:
             yield
@@ -89,13 +89,13 @@ class Ledger:
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
         """Yield the connection, for reading. Raises BadInput for a damaged or locked file."""
-        with self._told():
+        with self._named_errors():
             yield self._connection
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
         """Yield the connection inside one transaction: everything done with it is saved, or nothing."""
-        with self._told():
+        with self._named_errors():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -107,18 +107,18 @@ class Ledger:
 
     def packs(self) -> list[PackRow]:
         """Return all packs, by name."""
-        with self._told():
+        with self._named_errors():
             return [rows.pack_of(row) for row in self._connection.execute("SELECT * FROM packs ORDER BY name")]
 
     def pack(self, name: str) -> PackRow | None:
         """Return the pack of that name; None if there is none."""
-        with self._told():
+        with self._named_errors():
             row = self._connection.execute("SELECT * FROM packs WHERE name = ?", (name,)).fetchone()
             return rows.pack_of(row) if row is not None else None
 
     def flights(self, name: str) -> list[LedgerFlight]:
         """Return the flights of a pack in order of time, each with the belief after it."""
-        with self._told():
+        with self._named_errors():
             found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
@@ -136,7 +136,7 @@ class Ledger:
         return self._one(BEFORE, {"name": name, "key": key, "start": start})
 
     def _one(self, query: str, values: dict[str, object]) -> LedgerFlight | None:
-        with self._told():
+        with self._named_errors():
             row = self._connection.execute(query, values).fetchone()
             return rows.remembered_of(row) if row is not None else None
 
@@ -250,7 +250,7 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
     if longest is not flight:
         return longest.key
     for other in same.values():
-        flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
+        flight = replace(flight, start_utc_s=_value_or(flight.start_utc_s, other.start_utc_s))
     if any(other.key == flight.key for number, other in every.items() if number not in gone):
         flight = flight.with_own_key()
     values = {**rows.flight_row(flight), "id": min(gone, default=None), "pack": pack, "findings": ""}
@@ -280,7 +280,7 @@ def _moment(row: sqlite3.Row) -> tuple[float, int]:
         return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
 
 
-def _known(value: float, other: float) -> float:
+def _value_or(value: float, other: float) -> float:
     return value if math.isfinite(value) else other
 
 

@@ -31,7 +31,7 @@ from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, return_reason, way_home
-from uavbatt.prediction.route_pieces import Way
+from uavbatt.prediction.route_pieces import LegTiming
 from uavbatt.records import Route
 
 STEPS = 400
@@ -43,8 +43,8 @@ FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
-    """Planned holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
+class PlannedMission:
+    """PlannedMission holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
 
     mission: Mission
     home: Home
@@ -52,14 +52,14 @@ class Planned:
     powers: Powers
     wind: Wind
 
-    def ahead(self) -> tuple[Ahead, Way]:
+    def ahead(self) -> tuple[Ahead, LegTiming]:
         """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
         found = path(self.mission, self.home, self.settings)
         if found.reason or not found.lands:
             raise UsageError(
                 f"{self.mission.source}: {found.reason or 'it loiters without end, and its landing time is not known'}"
             )
-        way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
+        way = LegTiming(wind=(self.wind.north_ms, self.wind.east_ms))
         flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
         if not flown.touchdown_s > 0.0:
             raise UsageError(f"{self.mission.source}: the mission flies nowhere: expected a take-off or a waypoint")
@@ -109,7 +109,7 @@ class MissionPlan:
     """MissionPlan holds the pack, the mission, and the result at the planned temperature and at others."""
 
     resolved: PackSize
-    planned: Planned
+    planned: PlannedMission
     start_soc: float
     here: RouteFit
     legs: tuple[LegEnd, ...]
@@ -121,7 +121,7 @@ class MissionPlan:
 def make_route_plan(
     battery: BatteryFile,
     resolved: PackSize,
-    planned: Planned,
+    planned: PlannedMission,
     ambient_C: float,
     start_soc: float = 1.0,
     reserve_soc: float = 0.0,
@@ -150,8 +150,8 @@ def make_route_plan(
 def _fit(
     battery: BatteryFile,
     pack: Pack,
-    planned: Planned,
-    flown: tuple[Ahead, Way],
+    planned: PlannedMission,
+    flown: tuple[Ahead, LegTiming],
     belief: Belief,
     reserve_soc: float,
 ) -> tuple[RouteFit, Flying, Array]:
@@ -223,13 +223,13 @@ def _air_remark(ahead: Ahead) -> str:
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"
 
 
-def _home_remark(planned: Planned) -> str:
+def _home_remark(planned: PlannedMission) -> str:
     """Return a warning if the mission lands and the way home from it is not known; else empty."""
     elsewhere = return_reason(planned.mission, planned.settings)
     return f"no turn-back: {elsewhere}" if elsewhere else ""
 
 
-def _speeds_remark(planned: Planned) -> str:
+def _speeds_remark(planned: PlannedMission) -> str:
     settings = planned.settings
     unknown = {
         "cruise": settings.cruise_ms, "climb": settings.climb_ms, "descent": settings.descent_ms,

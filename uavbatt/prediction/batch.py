@@ -15,7 +15,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
-from uavbatt.prediction.route_forecast import RouteAsked, WaysAsked
+from uavbatt.prediction.route_forecast import RouteQuestion, WaysState
 from uavbatt.prediction.take_off import AtTakeOff
 from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Normals, counted, time_to_end
 
@@ -39,8 +39,8 @@ class Question(NamedTuple):
     by_rows: bool
     unresolved_s: float = 0.0  # length of a step within which the power may change
     at_take_off: AtTakeOff | None = None  # the expectation at take-off
-    route: RouteAsked | None = None  # the part about the route and the way home
-    ways: WaysAsked = WaysAsked()  # when that part was worked out last
+    route: RouteQuestion | None = None  # what else the forecast says, of the route and of the way home
+    ways: WaysState = WaysState()  # when they were asked last: if before `time_s`, it counts down
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]

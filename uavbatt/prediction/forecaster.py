@@ -23,12 +23,12 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
-from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
-from uavbatt.prediction.route_forecast import Flying, WaysAsked
+from uavbatt.prediction.route_forecast import Flying, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
@@ -68,17 +68,17 @@ class ForecastSettings:
             raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
-class Memory(NamedTuple):
-    """Memory holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
+class ForecasterMemory(NamedTuple):
+    """ForecasterMemory holds the past that forecasts need; it is saved with the belief, so that a restart goes on."""
 
-    flown: Flown
+    flight: FlightSoFar
     route: FlightLessons
     at_take_off: AtTakeOff | None = None
 
-    def moved(self, shift_s: float) -> Memory:
+    def moved(self, shift_s: float) -> ForecasterMemory:
         """Return the same past on a clock that shows `shift_s` [s] more."""
         expected = self.at_take_off and self.at_take_off.moved(shift_s)
-        return self._replace(flown=self.flown.moved(shift_s), at_take_off=expected)
+        return self._replace(flight=self.flight.moved(shift_s), at_take_off=expected)
 
 
 class Forecaster:
@@ -88,9 +88,9 @@ class Forecaster:
         self.pack = pack
         self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
-        self._flown = Flown()
+        self._flight = FlightSoFar()
         self._asked_s = NAN
-        self._ways = WaysAsked()
+        self._ways = WaysState()
         self._last: Forecast | None = None
         self._progress = Progress()  # progress on the route
         self._rested: Belief | None = None  # the last belief on the ground
@@ -99,16 +99,16 @@ class Forecaster:
     @property
     def flying_since_s(self) -> float:
         """Return the time of the row since which the pack carries the aircraft [s]; NaN on the ground."""
-        return self._flown.flying_since_s
+        return self._flight.flying_since_s
 
     @property
-    def memory(self) -> Memory:
+    def memory(self) -> ForecasterMemory:
         """Return the past as far as forecasts need it."""
-        return Memory(self._flown, self._progress.lessons, self._at_take_off)
+        return ForecasterMemory(self._flight, self._progress.lessons, self._at_take_off)
 
-    def recall(self, memory: Memory) -> None:
+    def recall(self, memory: ForecasterMemory) -> None:
         """Go on from a past that was saved."""
-        self._flown, self._at_take_off = memory.flown, memory.at_take_off
+        self._flight, self._at_take_off = memory.flight, memory.at_take_off
         self._progress = self._progress._replace(lessons=memory.route)
 
     def step(
@@ -128,11 +128,11 @@ class Forecaster:
         It uses no simulated forecast, so that a replay can take many rows in and simulate their forecasts at once.
         """
         self._remember(sample, navigation)
-        flying_s = sample.time_s - self._flown.flying_since_s  # NaN on the ground
+        flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
         if math.isnan(flying_s):
             self._rested, self._at_take_off = belief, None
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
-            self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
+            self._at_take_off = self._expected(self._rested or belief, self._flight.flying_since_s)
         refusal, question = self._refusal(estimate, flying_s), None
         if not refusal and belief is None:
             refusal = NO_BELIEF
@@ -141,7 +141,7 @@ class Forecaster:
             question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else BEYOND_SIX_HOURS
         if refusal:
-            self._asked_s, self._ways = NAN, WaysAsked()
+            self._asked_s, self._ways = NAN, WaysState()
         elif question is not None:
             self._asked_s, self._ways = sample.time_s, question.ways
         return refusal, question
@@ -169,8 +169,8 @@ class Forecaster:
         horizon_s = LONGEST_SHARE * typical_s
         if not typical_s < LONGEST_FLIGHT_S:
             return None
-        by_rows = self._flown.row_s > SLOW_ROW_S
-        dt_s = self._flown.row_s if by_rows else _step_s(load, typical_s)
+        by_rows = self._flight.row_s > SLOW_ROW_S
+        dt_s = self._flight.row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)
@@ -189,7 +189,7 @@ class Forecaster:
         )
         if not navigation.has_way:
             return question
-        ways = route_forecast.ways_asked(known, navigation, time_s)
+        ways = route_forecast.ways_state(known, navigation, time_s)
         if not self._ways.is_due(ways, typical_s):
             return question._replace(ways=self._ways)
         flying = Flying(
@@ -245,10 +245,10 @@ class Forecaster:
         low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
-    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
-        flown = self._flown
+    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> FlightPoint:
+        flown = self._flight
         since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
-        return Now(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
+        return FlightPoint(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """Return the energy that is left [Wh], rather too much: the charge believed plus two sds of it."""
@@ -261,11 +261,11 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flown
+        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
-        self._flown = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # before it was spool-up
-            self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)
+        self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
+        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # that was the spool-up
+            self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
             self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)

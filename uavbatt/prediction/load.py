@@ -1,7 +1,7 @@
 """The load to come: the power until the end of the flight.
 
-A load gives scenarios: power over time, each with a weight. They depend on `Now`, the present point of the flight;
-`RecentLoad` is the memory from which `Now` is made.
+A load gives scenarios: power over time, each with a weight. They depend on the `FlightPoint` of now;
+`RecentLoad` is the memory from which it is made.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.powers_flown import PowersFlown
+from uavbatt.prediction.power_history import PowerHistory
 from uavbatt.prediction.swings import Swings, swung
 
 MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # time constants of the averages
@@ -39,8 +39,8 @@ class Scenarios(NamedTuple):
     dt_s: Array
 
 
-class Now(NamedTuple):
-    """Now holds the present point of a flight: log time, time since take-off [s], charge, mean power [W], position."""
+class FlightPoint(NamedTuple):
+    """FlightPoint holds a point of a flight: log time, time since take-off [s], charge, mean power [W], position."""
 
     time_s: float
     since_take_off_s: float
@@ -53,11 +53,11 @@ class Now(NamedTuple):
 class Load(Protocol):
     """Load is the interface of a load to come."""
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return a typical power [W], from which the length of the simulation follows."""
         ...
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return the loads that may come from now on, in `steps` steps of `dt_s` [s]."""
         ...
 
@@ -68,7 +68,7 @@ class RecentLoad(NamedTuple):
     time_s: float = math.nan
     mean_W: float = math.nan
     gust_W: float = math.nan
-    flown: PowersFlown = PowersFlown()
+    history: PowerHistory = PowerHistory()
 
     def after(self, time_s: float, power_W: float) -> RecentLoad:
         """Return the memory with one more row; rows must come in order of time."""
@@ -77,7 +77,7 @@ class RecentLoad(NamedTuple):
         dt_s = max(time_s - self.time_s, 0.0)
         means = ((self.mean_W, MEAN_TAU_S), (self.gust_W, GUST_TAU_S))
         mean_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
-        return RecentLoad(time_s, mean_W, gust_W, self.flown.after(power_W, dt_s))
+        return RecentLoad(time_s, mean_W, gust_W, self.history.after(power_W, dt_s))
 
 
 def equal_levels(spread: float, count: int) -> Array:
@@ -98,11 +98,11 @@ class ConstantLoad:
     power_W: float
     spread: float
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the power itself [W]."""
         return self.power_W
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return equally likely powers, each the same at every step."""
         return constant(self.power_W, self.spread, dt_s, steps)
 
@@ -111,13 +111,13 @@ class ConstantLoad:
 class RecentMean:
     """RecentMean expects that the flight goes on as in its last minutes."""
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of about the last minute [W], at least 1 W."""
         return max(now.recent.mean_W, LOWEST_POWER_W)
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return powers around the recent mean, which go up and down as they have so far."""
-        flown = now.recent.flown
+        flown = now.recent.history
         return flown_again(constant(self.typical_W(now), flown.minute_sd, dt_s, steps), flown)
 
 
@@ -145,7 +145,7 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
     return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
 
 
-def flown_again(scenarios: Scenarios, flown: PowersFlown) -> Scenarios:
+def flown_again(scenarios: Scenarios, flown: PowerHistory) -> Scenarios:
     """Return the scenarios with the ups and downs of the flight so far, each from another place of it on.
 
     In the first SHOWN_S of a flight, swings stand for what it has not shown yet; they become less and less.
@@ -162,11 +162,11 @@ class LoggedLoad:
     time_s: Array
     power_W: Array
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the rows [W], at least 1 W."""
         return max(float(np.mean(self.power_W)), LOWEST_POWER_W)
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return the one scenario that came true; beyond the log, the mean of its last minute.
 
         Its powers are means around the instants that are judged, or, when the log's rows are slow, those of its own

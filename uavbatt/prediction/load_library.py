@@ -25,8 +25,8 @@ from uavbatt.prediction.load import (
     LOWEST_POWER_W,
     MEAN_TAU_S,
     ConstantLoad,
+    FlightPoint,
     Load,
-    Now,
     Scenarios,
     equal_levels,
     flown_again,
@@ -64,11 +64,11 @@ class LearnedLoad:
     drawn_J: Array  # energy since take-off at each point of the grid, and one step behind its end: [flights, grid + 1]
     powers: Powers = UNKNOWN  # used if a route is known
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the median of the flights' mean powers [W]; less for a flight that needs much less power."""
         return min(float(np.median(self.mean_W[:, -1])), MOST_TYPICAL * now.flight_W)
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every flight of the library from the point that corresponds to the present, at three power levels.
 
         Each is weighted by its similarity to this flight.
@@ -90,12 +90,12 @@ class LearnedLoad:
         weight = np.repeat(self._weights(now) / LEVELS, LEVELS)
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
-    def _weights(self, now: Now) -> Array:
+    def _weights(self, now: FlightPoint) -> Array:
         """Return the weights of the flights [flights], by their similarity to this one.
 
         They are equal if nothing can be compared: before the first block, and after a gap, which shifts the powers.
         """
-        flown, flights = now.recent.flown, self.power_W.shape[0]
+        flown, flights = now.recent.history, self.power_W.shape[0]
         own_W = flown.blocks_W(BLOCK_S, BLOCKS)
         if own_W.size == 0 or now.since_take_off_s - flown.length_s - flown.open_s > BLOCK_S:
             return np.full(flights, 1.0 / flights)
@@ -131,7 +131,7 @@ def own_scales(ratio: Array, since_take_off_s: float) -> Array:
     return np.asarray(ratio ** (OWN_SCALING + (1.0 - OWN_SCALING) * real_share))
 
 
-def late_scale(now: Now, shown: Array) -> float:
+def late_scale(now: FlightPoint, shown: Array) -> float:
     """Return the factor on the power to come if the last minute needed more than past flights did at this point.
 
     The cause is a payload taken up or a head wind, which the mean of the whole flight would show late. A minute of less
@@ -212,22 +212,22 @@ class UnknownAircraft:
 
     powers: Powers = UNKNOWN
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the flight so far [W], unless its last minute shows another; at least 1 W.
 
         The minutes of a flight differ by chance, and by much if its motor runs at intervals. A minute far above that is
         another load; a minute below it may be a descent.
         """
-        by_chance = now.recent.flown.minute_sd
+        by_chance = now.recent.history.minute_sd
         away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W)
         share = CHANGE_SD**2 / (CHANGE_SD**2 + by_chance**2)
         if away > 0.0:
             share += (1.0 - share) * _real_share(away, math.hypot(LEAST_USUAL, USUAL_SDS * by_chance))
         return max(now.flight_W * math.exp(share * away), LOWEST_POWER_W)
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
-        flown = now.recent.flown
+        flown = now.recent.history
         known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
         levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the horizon is twice the typical time left

@@ -16,7 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.route_legs import Leg, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
-from uavbatt.prediction.route_pieces import Pieces, Way, joined
+from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 from uavbatt.records import NAN
 
@@ -80,10 +80,10 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
     return Ahead(begin, rest, progress.path.lands and float(rest.length_s.sum()) < ENDLESS_S)
 
 
-def way_of(progress: Progress) -> Way:
+def way_of(progress: Progress) -> LegTiming:
     """Return the timing and the wind for the legs to come, as learned from the legs flown so far."""
     known = progress.lessons
-    return Way(known.short, known.long, known.wind)
+    return LegTiming(known.short, known.long, known.wind)
 
 
 def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
@@ -140,7 +140,7 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
     return way_home(here, replace(climbed, return_climb_min_m=NAN))
 
 
-def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
+def _rest_by_plan(way: LegTiming, progress: Progress, time_s: float) -> Pieces:
     """Return the rest of the route by the clock, for an aircraft whose position is not known."""
     table, item = progress.path.table, progress.item
     present = way.pieces(table.of(item))
@@ -150,7 +150,7 @@ def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
     return joined(rest, way.pieces(table.of(slice(item.stop, None))))
 
 
-def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Pieces:
+def _rest_from(way: LegTiming, progress: Progress, here: Point, time_s: float) -> Pieces:
     """Return the rest of the route from the position of the aircraft."""
     later = progress.path.table.of(slice(progress.at + progress.behind + 1, None))
     return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later), is_flying=True)

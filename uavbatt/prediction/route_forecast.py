@@ -18,7 +18,7 @@ from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, s
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
-from uavbatt.prediction.route_pieces import Way, waiting
+from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import Route
@@ -49,8 +49,8 @@ class ToCome(NamedTuple):
     homewards: RouteLoad | None  # powers and level for the way home
 
 
-class RouteAsked(NamedTuple):
-    """RouteAsked holds the route and the way home of one forecast, before its samples are simulated."""
+class RouteQuestion(NamedTuple):
+    """RouteQuestion holds the route and the way home of one forecast, before its samples are simulated."""
 
     load: str
     reason: str
@@ -59,13 +59,13 @@ class RouteAsked(NamedTuple):
     turning: Turning | None
 
 
-class WaysAsked(NamedTuple):
-    """WaysAsked holds the time at which route and way home were last worked out [s], and what was known then."""
+class WaysState(NamedTuple):
+    """WaysState holds the time at which route and way home were last worked out [s], and what was known then."""
 
     time_s: float = math.nan
     about: tuple[object, ...] = ()
 
-    def is_due(self, now: WaysAsked, typical_s: float) -> bool:
+    def is_due(self, now: WaysState, typical_s: float) -> bool:
         """Return True if it is time to ask again, `typical_s` [s] before the end; at once if something new is known."""
         period_s = min(max(WAYS_SHARE * typical_s, SHORTEST_WAYS_S), LONGEST_WAYS_S)
         return now.about != self.about or not 0.0 <= now.time_s - self.time_s < period_s
@@ -94,10 +94,10 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     return ToCome(load, name, "", route, home_reason, homewards)
 
 
-def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAsked:
+def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysState:
     """Return what is known of route and way home at a time [s]."""
     told = (known.name, known.reason, known.home_reason)
-    return WaysAsked(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
+    return WaysState(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
 
 
 class Flying(NamedTuple):
@@ -115,12 +115,14 @@ class Flying(NamedTuple):
     reserve_soc: float = 0.0
 
 
-def fly_ways(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
+def fly_ways(
+    known: ToCome, flying: Flying, way: LegTiming, settings: ReturnSettings, typical_s: float
+) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws are simulated once, through all instants of turning, up to the last touchdown.
     """
-    asked = RouteAsked(known.name, _reason(known), None, None, None)
+    asked = RouteQuestion(known.name, _reason(known), None, None, None)
     scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     homewards, turn_at_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
@@ -148,7 +150,7 @@ def _reason(known: ToCome) -> str:
     return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
 
 
-def route_answer(asked: RouteAsked, end_s: Array) -> Route:
+def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
     """Return what a forecast says of route, way home and turn-back, by the simulated ends of the flight [draws]."""
     said = Route(asked.load, reason=asked.reason)
     if asked.route_s is not None and asked.route_soc is not None:

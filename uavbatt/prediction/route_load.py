@@ -9,7 +9,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, beyond_learned, power, terms, turning_power
 from uavbatt.prediction import sampling
-from uavbatt.prediction.load import LOWEST_POWER_W, Now, Scenarios, stretches_s, swinging
+from uavbatt.prediction.load import LOWEST_POWER_W, FlightPoint, Scenarios, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings
@@ -28,7 +28,7 @@ class RouteLoad:
     level: float
     level_sd: float
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the pieces to come [W], that of a hover where none is left; at least 1 W."""
         lengths_s = self.ahead.pieces.length_s
         if not lengths_s.sum() > 0.0:
@@ -46,7 +46,7 @@ class RouteLoad:
         """Return the power of each piece [W] once its speed is gained."""
         return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
         return self.scenarios_over(np.full(steps, dt_s))
 

@@ -55,7 +55,7 @@ def waiting(at: Point, length_s: float) -> Pieces:
     return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none, none)
 
 
-class Way(NamedTuple):
+class LegTiming(NamedTuple):
     """Way turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s]."""
 
     short: Timing = Timing()

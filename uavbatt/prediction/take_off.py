@@ -21,7 +21,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.typical_power import typical_power_W
-from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, Load, Now, Scenarios, equal_levels
+from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_SPREAD,
     GRID_S,
@@ -46,12 +46,12 @@ class FromTakeOff:
 
     library: LearnedLoad
 
-    def typical_W(self, now: Now) -> float:
+    def typical_W(self, now: FlightPoint) -> float:
         """Return the median of the flights' mean powers [W], or less where the horizon would cut off a gentle one."""
         begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
         return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
 
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+    def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every past flight from its first second, whatever the charge: the pack may start part-used.
 
         Their levels vary too, because the payload and the wind of this flight are not known.

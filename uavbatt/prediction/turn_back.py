@@ -22,7 +22,7 @@ from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
 from uavbatt.prediction.route_path import way_home
-from uavbatt.prediction.route_pieces import Column, Pieces, Way, waiting
+from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
 TURNS, CROWDED = 16, 1.5  # number of instants; early ones are closer together
@@ -44,7 +44,7 @@ class Turning(NamedTuple):
     flown: Ahead
     load: RouteLoad
     scenario: Array
-    way: Way
+    way: LegTiming
     settings: ReturnSettings
     reserve_soc: float = 0.0
 
@@ -141,7 +141,7 @@ def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float)
     return np.asarray(np.minimum(above_V, (draws.state.soc - reserve_soc) * SOC_IN_VOLTS))
 
 
-def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
+def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:
     """Return the ways home from where the aircraft is at each instant."""
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))

@@ -31,7 +31,7 @@ ANSWERS = {
 def follow_report(found: Follow, dates: Sequence[str], battery: str) -> str:
     """Return the whole page as HTML; `dates` are the days of the flights, empty where they are not known."""
     mood, answer = ANSWERS[found.verdict]
-    told = [_told(one, found, dates) for one in found.effects]
+    told = [_effect_part(one, found, dates) for one in found.effects]
     notes = [f"Left out, too short to tell anything: {name}." for name in found.left_out]
     return page(
         f"{battery}: {len(found.flights)} flights in order of time",
@@ -49,7 +49,7 @@ def _title(one: FollowedEffect) -> str:
     return f"{QUANTITY.get(one.quantity, one.quantity)}, flight by flight"
 
 
-def _told(one: FollowedEffect, found: Follow, dates: Sequence[str]) -> Html:
+def _effect_part(one: FollowedEffect, found: Follow, dates: Sequence[str]) -> Html:
     """Return the part on one effect: its course, its rivals, and what to check."""
     course, size = course_words(one, found.flights, dates), f"{size_words(one)}."
     sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."

@@ -71,10 +71,9 @@ class Cleaner(NamedTuple):
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample) if sample.cell_voltages_V else now, sample
 
-    def told(self, facts: PackFacts) -> Cleaner:
+    def with_facts(self, facts: PackFacts) -> Cleaner:
         """Return the cleaner with what the vehicle states of its sensors."""
-        of_escs = facts.temperature_of_escs
-        return self if self.reads_escs is of_escs else self._replace(reads_escs=of_escs)
+        return self._replace(reads_escs=facts.temperature_of_escs)
 
     def moved(self, shift_s: float) -> Cleaner:
         """Return the same memory on a clock that shows `shift_s` [s] more."""

@@ -35,8 +35,8 @@ def boot_time_s(frame: bytes, message_id: int) -> float:
     return int.from_bytes(frame[first : min(first + BOOT_TIME_BYTES, end)], "little") / 1000.0
 
 
-class SeenOffset(NamedTuple):
-    """SeenOffset holds the offset that a frame showed [s], and when it was received [s]."""
+class ClockOffset(NamedTuple):
+    """ClockOffset holds the offset that a frame showed [s], and when it was received [s]."""
 
     at_s: float
     offset_s: float
@@ -46,12 +46,12 @@ class Lateness(NamedTuple):
     """Lateness holds the offsets seen of a vehicle's clock; it is a value, replaced by `after`."""
 
     boot_s: float = math.nan  # of the last frame
-    base: SeenOffset | None = None
-    recent: tuple[SeenOffset, ...] = ()  # those of LOOK_S that no later one is smaller than
+    base: ClockOffset | None = None
+    recent: tuple[ClockOffset, ...] = ()  # of LOOK_S, but for those that a later one has undercut
 
     def after(self, at_s: float, boot_s: float) -> Lateness:
         """Return the new value after a frame that was received at `at_s` [s] and sent `boot_s` [s] after the boot."""
-        seen = SeenOffset(at_s, at_s - boot_s)
+        seen = ClockOffset(at_s, at_s - boot_s)
         if boot_s == self.boot_s:
             return self
         if not self.recent or self._is_another(seen, boot_s):
@@ -59,9 +59,9 @@ class Lateness(NamedTuple):
         shown_twice_s = max(seen.offset_s, self.recent[-1].offset_s)
         risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s) if self.base is not None else math.inf
         lower = (was for was in self.recent if at_s - was.at_s <= LOOK_S and was.offset_s < seen.offset_s)
-        return Lateness(boot_s, SeenOffset(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
+        return Lateness(boot_s, ClockOffset(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
 
-    def _is_another(self, seen: SeenOffset, boot_s: float) -> bool:
+    def _is_another(self, seen: ClockOffset, boot_s: float) -> bool:
         """Return True if the clock has begun anew, or is no longer the one that was heard."""
         last, base = self.recent[-1], self.base or self.recent[-1]
         has_begun = boot_s < self.boot_s and boot_s <= max(seen.at_s - last.at_s + BEGUN_S, JUST_BOOTED_S)

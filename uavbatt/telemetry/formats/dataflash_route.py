@@ -34,7 +34,7 @@ _WIND = re.compile(r"(XKF2|NKF2|EKF2)$")
 _HOME_TYPE, _LANDED, _NOT_LANDED, _FIX_3D = 1, 18, 28, 3
 _WIND_STEP_S, _GPS_AGE_S = 1.0, 1.0
 _NO_FRAME = -1.0
-Told = tuple[int, Event]  # place in the log, event
+PlacedEvent = tuple[int, Event]  # place in the log, event
 
 
 def navigation(
@@ -48,22 +48,22 @@ def navigation(
     builder = NavigationBuilder(keeps_all=True)
     fixes = [t for t in tables if t.layout.name == "GPS"]
     places = [t for t in tables if t.layout.name == "POS"] or [t for t in fixes if "RelAlt" in t.numbers]
-    mission_told = _Mission(builder)
-    told: list[Told] = []
+    mission_records = _Mission(builder)
+    events: list[PlacedEvent] = []
     for table in tables:
         name, time_s = table.layout.name, clock.times_s(table)
         if name in ("CMD", "MISE"):
-            told += _commands(table, time_s, mission_told)
+            events += _commands(table, time_s, mission_records)
         elif name != "MODE" or "copter" in firmware.lower():
-            told += _others(table, time_s, builder)
+            events += _others(table, time_s, builder)
     for table in places:
-        told += _positions(table, clock.times_s(table), fixes, clock, builder)
-    told.sort(key=lambda one: one[0])
-    play((event for _, event in told), parameters, builder)
+        events += _positions(table, clock.times_s(table), fixes, clock, builder)
+    events.sort(key=lambda one: one[0])
+    play((event for _, event in events), parameters, builder)
     return builder.timeline()
 
 
-def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[PlacedEvent]:
     """Yield modes, homes, winds, and whether the aircraft has landed."""
     name = table.layout.name
     if name == "MODE":
@@ -109,7 +109,7 @@ class _Mission:
             self._builder.current(time_s, item.seq)
 
 
-def _commands(table: Table, time_s: Column, takes: _Mission) -> Iterator[Told]:
+def _commands(table: Table, time_s: Column, takes: _Mission) -> Iterator[PlacedEvent]:
     """Yield the items of CMD and MISE records; an item without a frame in the log has an unknown one."""
     labels = ("CTot", "CNum", "CId", "Prm1", "Prm2", "Prm3", "Prm4", "Lat", "Lng", "Alt", "Frame")
     columns = {label: table.column(label) for label in labels}
@@ -132,7 +132,7 @@ def _modes(table: Table) -> list[Mode]:
     return [copter_mode_named(text) for text in table.texts.get("Mode", [""] * len(table.order))]
 
 
-def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[PlacedEvent]:
     columns = (table.column(label).tolist() for label in ("Type", "Lat", "Lng", "Alt"))
     for place, at_s, kind, lat_deg, lon_deg, alt_m in zip(table.order.tolist(), time_s.tolist(), *columns, strict=True):
         if kind == _HOME_TYPE:
@@ -141,7 +141,7 @@ def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator
 
 def _positions(
     table: Table, time_s: Column, fixes: Sequence[Table], clock: DataflashClock, builder: NavigationBuilder
-) -> Iterator[Told]:
+) -> Iterator[PlacedEvent]:
     """Yield the positions of POS with the velocity of the last fix; the same item is still flown at each."""
     height = next((label for label in ("RelHomeAlt", "RelAlt") if label in table.numbers), "RelHomeAlt")
     chosen = one_each(time_s, POSITION_STEP_S)
@@ -168,7 +168,7 @@ def _velocities(order: Order, at_s: Column, fixes: Sequence[Table], clock: Dataf
     return found
 
 
-def _winds(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+def _winds(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[PlacedEvent]:
     is_first = table.column("C") == 0 if "C" in table.numbers else np.ones(len(time_s), np.bool_)
     own = np.flatnonzero(is_first)
     chosen = own[one_each(time_s[own], _WIND_STEP_S)] if len(own) else own

@@ -102,7 +102,7 @@ class DataflashClock(NamedTuple):
         return np.round(own_s, 6)
 
 
-class _Timed(NamedTuple):
+class _TimedTable(NamedTuple):
     """_Timed is a table with the time of each record [s]."""
 
     table: Table
@@ -126,12 +126,12 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
     first, last: of the records of any kind, wanted or not, that carry a time.
     """
     clock, timed = _with_times(tables, first, last, log)
-    parameters = _named(timed, "PARM")
+    parameters = _tables_named(timed, "PARM")
     _add_parameters(parameters, log)
     batteries = [t for t in timed if _BATTERY.match(t.table.layout.name)]
     if not batteries:
         return clock
-    merged = _merged([(b.table.order, b.time_s, _instance(b.table), *_said(b.table)) for b in batteries])
+    merged = _merged([(b.table.order, b.time_s, _instance(b.table), *_battery_columns(b.table)) for b in batteries])
     is_known = merged[2] != NO_INSTANCE
     if not is_known.all():
         log.counts["rows of an impossible battery instance dropped"] += int(np.count_nonzero(~is_known))
@@ -146,7 +146,7 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
         consumed_Ah=np.where(blind, np.nan, consumed_Ah),
         reported_soc=reported_soc,
         armed=_armed(timed).at(order, UNKNOWN).astype(np.int8),
-        cells_V=_cells(order, instance, time_s, _named(timed, "BCL")),
+        cells_V=_cells(order, instance, time_s, _tables_named(timed, "BCL")),
     )
     add_rows(log, instance, rows)
     if any(not b.table.layout.ticks_per_s for b in batteries):
@@ -154,7 +154,7 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
     return clock
 
 
-def _named(timed: Sequence[_Timed], start: str) -> list[_Timed]:
+def _tables_named(timed: Sequence[_TimedTable], start: str) -> list[_TimedTable]:
     return [t for t in timed if t.table.layout.name.startswith(start)]
 
 
@@ -172,7 +172,7 @@ def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
 
 def _with_times(
     tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder
-) -> tuple[DataflashClock, list[_Timed]]:
+) -> tuple[DataflashClock, list[_TimedTable]]:
     """Return every table with its times; a record without a time gets that of the latest record before it."""
     moments = [(np.array([m.order]), np.array([m.raw_s])) for m in (first, last) if m is not None]
     clocks = [(t.order, t.column(t.layout.labels[0]) / t.layout.ticks_per_s) for t in tables if t.layout.ticks_per_s]
@@ -192,7 +192,7 @@ def _with_times(
         own = told if table.layout.ticks_per_s else counted
         return own.value[own.order.searchsorted(table.order)]
 
-    return clock, [_Timed(t, times(t)) for t in tables]
+    return clock, [_TimedTable(t, times(t)) for t in tables]
 
 
 def _counted(tables: Sequence[Table]) -> _Change:
@@ -205,7 +205,7 @@ def _counted(tables: Sequence[Table]) -> _Change:
     return _Change(order, count)
 
 
-def _add_parameters(parameters: Sequence[_Timed], log: LogBuilder) -> None:
+def _add_parameters(parameters: Sequence[_TimedTable], log: LogBuilder) -> None:
     said: list[tuple[int, float, str, float]] = []
     for t in parameters:
         columns = (t.table.order.tolist(), t.time_s.tolist(), _names(t.table), t.table.column("Value").tolist())
@@ -219,7 +219,7 @@ def _names(table: Table) -> Sequence[str]:
     return table.texts.get("Name", ())
 
 
-def _without_current(order: Order, instance: Order, parameters: Sequence[_Timed]) -> NDArray[np.bool_]:
+def _without_current(order: Order, instance: Order, parameters: Sequence[_TimedTable]) -> NDArray[np.bool_]:
     """Mark the rows of batteries whose monitor, as known by then, measures no current."""
     blind = np.zeros(len(order), np.bool_)
     for number in distinct(instance):
@@ -249,7 +249,7 @@ def _instance(table: Table) -> Order:
     return np.full(len(table.order), max(int(number) - 1, 0) if number.isdigit() else 0, np.int64)
 
 
-def _said(table: Table) -> tuple[Column, ...]:
+def _battery_columns(table: Table) -> tuple[Column, ...]:
     """Return voltage, current, temperature, charge and state of charge as the autopilot reports them."""
     chars = dict(zip(table.layout.labels, table.layout.chars, strict=False))
 
@@ -267,20 +267,20 @@ def _said(table: Table) -> tuple[Column, ...]:
     )
 
 
-def _armed(timed: Sequence[_Timed]) -> _Change:
+def _armed(timed: Sequence[_TimedTable]) -> _Change:
     """Return armed or not, by the records that tell it."""
     parts = []
-    for t in _named(timed, "ARM"):
+    for t in _tables_named(timed, "ARM"):
         if "ArmState" in t.table.numbers:
             parts.append((t.table.order, np.where(t.table.column("ArmState") == 0, 0.0, 1.0)))
-    for t in _named(timed, "EV"):
+    for t in _tables_named(timed, "EV"):
         event = np.trunc(t.table.column("Id"))
         says = (event == _EV_ARMED) | (event == _EV_DISARMED)
         parts.append((t.table.order[says], np.where(event[says] == _EV_ARMED, 1.0, 0.0)))
     return _change(parts)
 
 
-def _cells(order: Order, instance: Order, time_s: Column, cells: Sequence[_Timed]) -> NDArray[np.float64] | None:
+def _cells(order: Order, instance: Order, time_s: Column, cells: Sequence[_TimedTable]) -> NDArray[np.float64] | None:
     """Return the cells [V] of the rows of the same instant, without 0 (none) and 65535; None if the log has none."""
     labels = [[label for label in t.table.layout.labels if _CELL.match(label)] for t in cells]
     if not any(labels):

@@ -174,7 +174,7 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
             place, is_told = _alone(place, told, time_s), False
         if is_told or not len(place):
             continue
-        said = kind.said(own.at(place).payloads(kind.layout.itemsize))
+        said = kind.messages(own.at(place).payloads(kind.layout.itemsize))
         if message_id == fields.BATTERY_STATUS:
             said = _completed(own, time_s, beats, place, said)
             ids, told = distinct(said.instance), place[said.voltage_V > 0.0]
@@ -201,7 +201,7 @@ def _completed(
     if said.cells_V is None:
         return said
     kind = tlog_payloads.KINDS[fields.SYS_STATUS]
-    volts = kind.said(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
+    volts = kind.messages(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
     row = BatteryStatusRows(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
     return with_all_cells(said, row, HeardMessages(heard, volts), time_s[heard])
 

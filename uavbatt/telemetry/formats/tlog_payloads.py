@@ -57,7 +57,7 @@ class MessageKind(NamedTuple):
     layout: np.dtype[Any]
     read: Callable[[Any], BatteryMessages]
 
-    def said(self, payloads: Bytes) -> BatteryMessages:
+    def messages(self, payloads: Bytes) -> BatteryMessages:
         """Return what the payloads say."""
         return self.read(payloads.view(self.layout)[:, 0])
 
@@ -87,8 +87,8 @@ def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
 
 def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:
     """Yield the name and value of every PARAM_VALUE."""
-    said = payloads.view(PARAM_VALUE)[:, 0]
-    columns = (said["id"].tolist(), said["value"].tolist(), said["type"].tolist())
+    messages = payloads.view(PARAM_VALUE)[:, 0]
+    columns = (messages["id"].tolist(), messages["value"].tolist(), messages["type"].tolist())
     for name, value, kind, px4 in zip(*columns, is_px4, strict=True):
         text = name.split(b"\0", 1)[0].decode("ascii", errors="replace")
         yield fields.parameter(_Parameter(text, value, kind), px4)
@@ -108,8 +108,8 @@ def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
     return BatteryMessages(*columns)
 
 
-def _battery_status(said: Any) -> BatteryMessages:
-    mV, ext_mV = said["voltages"].astype(np.int64), said["voltages_ext"].astype(np.int64)
+def _battery_status(messages: Any) -> BatteryMessages:
+    mV, ext_mV = messages["voltages"].astype(np.int64), messages["voltages_ext"].astype(np.int64)
     # some senders fill unused cells with 0: no cell is at 0 V in flight
     filled = (mV != 0) & (mV != 65535)
     is_split = mV[:, 0] == _SPLIT_MV
@@ -120,29 +120,34 @@ def _battery_status(said: Any) -> BatteryMessages:
     has_cells = (np.count_nonzero(all_filled, axis=1) > 1) & ~is_split
     cells_V = np.where(all_filled & has_cells[:, None], all_mV / 1000, np.nan) if has_cells.any() else None
     return BatteryMessages(
-        instance=said["id"].astype(np.int64),
+        instance=messages["id"].astype(np.int64),
         voltage_V=np.where(is_known, total_mV / 1000, np.nan),
-        current_A=_current_A(said["current"]),
-        temp_C=_unless(said["temperature"] == 32767, said["temperature"] / 100),
-        consumed_Ah=_unless(said["consumed"] == -1, said["consumed"] / 1000),
-        reported_soc=_soc(said["remaining"]),
+        current_A=_current_A(messages["current"]),
+        temp_C=_unless(messages["temperature"] == 32767, messages["temperature"] / 100),
+        consumed_Ah=_unless(messages["consumed"] == -1, messages["consumed"] / 1000),
+        reported_soc=_soc(messages["remaining"]),
         cells_V=cells_V,
     )
 
 
-def _sys_status(said: Any) -> BatteryMessages:
-    unknown = np.full(len(said), np.nan)
-    instance = np.zeros(len(said), np.int64)
+def _sys_status(messages: Any) -> BatteryMessages:
+    unknown = np.full(len(messages), np.nan)
+    instance = np.zeros(len(messages), np.int64)
     return BatteryMessages(
-        instance, _voltage_V(said["voltage"]), _current_A(said["current"]), unknown, unknown, _soc(said["remaining"])
+        instance,
+        _voltage_V(messages["voltage"]),
+        _current_A(messages["current"]),
+        unknown,
+        unknown,
+        _soc(messages["remaining"]),
     )
 
 
-def _battery2(said: Any) -> BatteryMessages:
-    unknown = np.full(len(said), np.nan)
-    instance = np.ones(len(said), np.int64)
+def _battery2(messages: Any) -> BatteryMessages:
+    unknown = np.full(len(messages), np.nan)
+    instance = np.ones(len(messages), np.int64)
     return BatteryMessages(
-        instance, _voltage_V(said["voltage"]), _current_A(said["current"]), unknown, unknown, unknown
+        instance, _voltage_V(messages["voltage"]), _current_A(messages["current"]), unknown, unknown, unknown
     )
 
 

@@ -127,7 +127,7 @@ def _of_autopilot(own: FrameTable, clock: TlogClock, listener: NavigationListene
         frames = own.of(message_id)
         if message_id == messages.HEARTBEAT:
             frames = frames.at(_changes(frames))
-        for start, at_s, message in _said(frames, message_id, clock):
+        for start, at_s, message in _decoded_frames(frames, message_id, clock):
             told.append((start, (at_s, listener.take, (message_id, message))))
     return told
 
@@ -139,13 +139,13 @@ def _of_others(
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
     told = []
     for message_id in messages.OF_OTHERS if len(others.start) else ():
-        for start, at_s, message in _said(others.of(message_id), message_id, clock):
+        for start, at_s, message in _decoded_frames(others.of(message_id), message_id, clock):
             if message.target_system == source >> 8 and message.target_component in (_ALL_COMPONENTS, source & 0xFF):
                 told.append((start, (at_s, listener.take_other, (message_id, message))))
     return told
 
 
-def _said(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
+def _decoded_frames(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
     """Yield place in the file, time [s] and message of each frame."""
     return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
 

@@ -23,13 +23,12 @@ _RETURN_HOLD = (("RTL_LOIT_TIME", 0.001), ("RTL_LAND_DELAY", 1.0))
 _LAND = (("LAND_SPD_MS", 1.0), ("LAND_SPEED", _CENTI), ("MPC_LAND_SPEED", 1.0))
 _LAND_FAST = (("LAND_SPD_HIGH_MS", 1.0), ("LAND_SPEED_HIGH", _CENTI))
 _LAND_SLOW_BELOW = (("LAND_ALT_LOW_M", 1.0), ("LAND_ALT_LOW", _CENTI), ("MPC_LAND_ALT2", 1.0))
-_ACCEPT = (("WP_RADIUS_M", 1.0), ("WPNAV_RADIUS", _CENTI), ("NAV_ACC_RAD", 1.0))
 _CONE_SLOPE, _CONE_ANGLE_DEG = "RTL_CONE_SLOPE", "RTL_CONE_ANG"
 _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
 _RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
 _ALL = (
     _CRUISE, _CLIMB, _DESCENT, _RETURN_HEIGHT, _RETURN_SPEED, _RETURN_FINAL, _RETURN_CLIMB_MIN, _RETURN_HOLD, _LAND,
-    _LAND_FAST, _LAND_SLOW_BELOW, _ACCEPT,
+    _LAND_FAST, _LAND_SLOW_BELOW,
 )  # fmt: skip
 
 NAMES = frozenset(name for names in _ALL for name, _ in names) | {
@@ -50,7 +49,6 @@ def return_settings(known: Mapping[str, float]) -> ReturnSettings:
         return_final_m=_final_m(known),
         land_ms=_positive(known, _LAND),
         land_slow_below_m=_positive(known, _LAND_SLOW_BELOW),
-        accept_m=_positive(known, _ACCEPT),
         land_fast_ms=_positive(known, _LAND_FAST),
         return_climb_min_m=_first(known, _RETURN_CLIMB_MIN),
         return_cone_slope=_cone_slope(known),

@@ -77,15 +77,15 @@ def coverage_factor(df: Array | float, instants: int) -> Array:
     return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
 
 
-class Expanded(NamedTuple):
-    """Expanded holds standard uncertainty `u`, effective freedom `df` and half width `half`, each per instant."""
+class ExpandedUncertainty(NamedTuple):
+    """ExpandedUncertainty holds standard uncertainty `u`, effective freedom `df` and half width `half`, by instant."""
 
     u: Array
     df: Array
     half: Array
 
 
-def expand(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expanded:
+def expand(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> ExpandedUncertainty:
     """Expand the combined type A and type B uncertainty of a bias to the half width of its one-sided 95 % interval.
 
     u_A and u_B are standard uncertainties per instant, in the unit of the bias; `df_A` the degrees of freedom of u_A.
@@ -94,7 +94,9 @@ def expand(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expand
     u = np.asarray(np.hypot(u_A, u_B))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
-    return Expanded(u, df, np.maximum(coverage_factor(df, instants) * u, coverage_factor(df_A, instants) * u_A))
+    return ExpandedUncertainty(
+        u, df, np.maximum(coverage_factor(df, instants) * u, coverage_factor(df_A, instants) * u_A)
+    )
 
 
 def add_up(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:

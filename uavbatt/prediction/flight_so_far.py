@@ -20,12 +20,13 @@ NEW_PIECES = 2  # the newest powers may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 
-class Flown(NamedTuple):
-    """Flown holds the past of a flight at `time_s` [s], NaN before the first row; it is a value, replaced by `after`.
+class FlightSoFar(NamedTuple):
+    """FlightSoFar holds the past of a flight as a value, replaced by `after`.
 
-    rate_c : smoothed C-rate; loaded_s : last row under a load that carries the aircraft; flying_since_s : NaN on the
-    ground; took_off_s : begin of the flight whose energy `flown_J` [J] was drawn in `flown_s` [s]; row_s : usual
-    distance of two rows [s]; armed, armed_since_s : the flag of the last row that had one, and since when it is so.
+    time_s : of the last row [s], NaN before the first; rate_c : smoothed C-rate; loaded_s : last row under a load that
+    carries the aircraft; flying_since_s : NaN on the ground; took_off_s : begin of the flight whose energy `flown_J`
+    [J] was drawn in `flown_s` [s]; row_s : usual distance of two rows [s]; armed, armed_since_s : the flag of the last
+    row that had one, and since when it is so.
     """
 
     load: RecentLoad = RecentLoad()
@@ -45,7 +46,7 @@ class Flown(NamedTuple):
         """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
         return max(LOWEST_POWER_W, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
-    def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> Flown:
+    def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> FlightSoFar:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
 
         is_aloft : True in the air by position or by the autopilot, None if not known (`Navigation.is_aloft`).
@@ -63,7 +64,7 @@ class Flown(NamedTuple):
         has_waited = is_aloft is not True and c_rate * now.mean_W < WAITING_C * power_W
         return now._spooled_up(power_W, WAITED) if has_waited else now
 
-    def moved(self, shift_s: float) -> Flown:
+    def moved(self, shift_s: float) -> FlightSoFar:
         """Return the same past on a clock that shows `shift_s` [s] more."""
         return self._replace(
             load=self.load._replace(time_s=self.load.time_s + shift_s),
@@ -74,7 +75,7 @@ class Flown(NamedTuple):
             armed_since_s=self.armed_since_s + shift_s,
         )
 
-    def _with_flag(self, sample: Sample) -> Flown:
+    def _with_flag(self, sample: Sample) -> FlightSoFar:
         """Return the past with the row's armed flag.
 
         Arming begins a flight, because the load before it was that of a payload. If the load already carries the
@@ -83,7 +84,7 @@ class Flown(NamedTuple):
         if sample.armed is None or sample.armed is self.armed:
             return self
         if self.armed is False and not math.isfinite(self.flying_since_s):
-            self = Flown(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
+            self = FlightSoFar(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
         return self._replace(armed=sample.armed, armed_since_s=sample.time_s)
 
     def _least_c(self, sample: Sample, is_aloft: bool | None) -> float:
@@ -95,7 +96,7 @@ class Flown(NamedTuple):
         is_long = sample.armed is True and sample.time_s - self.armed_since_s >= ARMED_LONG_S
         return CRUISING_C if is_long else FLYING_C
 
-    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool | None) -> Flown:
+    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool | None) -> FlightSoFar:
         """Return the past with the row's time and C-rate, and with the aircraft in flight or on the ground by them."""
         row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
@@ -108,13 +109,13 @@ class Flown(NamedTuple):
             since_s = NAN
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
-    def _spooled_up(self, power_W: float, times: float) -> Flown:
+    def _spooled_up(self, power_W: float, times: float) -> FlightSoFar:
         """Begin the flight at this row if its power is far above all power before it, which was spool-up or waiting.
 
         The power is compared with all powers before it, not with their mean, which every burst of a motor that runs at
         intervals exceeds.
         """
-        before_W = max((self.mean_W, *self.load.flown.pieces_W[:-NEW_PIECES]))
+        before_W = max((self.mean_W, *self.load.history.pieces_W[:-NEW_PIECES]))
         if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):
             return self
         fresh = RecentLoad().after(self.time_s, power_W)

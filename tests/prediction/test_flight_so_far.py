@@ -7,13 +7,15 @@ import math
 import pytest
 
 from uavbatt.navigation import NOWHERE, Navigation, Position
-from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.records import Sample
 
 CAPACITY_AH, VOLTS = 5.0, 16.0
 
 
-def after(past: Flown, seconds: int, watts: float, armed: bool | None, is_aloft: bool | None = None) -> Flown:
+def after(
+    past: FlightSoFar, seconds: int, watts: float, armed: bool | None, is_aloft: bool | None = None
+) -> FlightSoFar:
     """The past after so many seconds of a power, a row a second."""
     begin_s = past.time_s + 1.0 if math.isfinite(past.time_s) else 0.0
     for k in range(seconds):
@@ -22,13 +24,13 @@ def after(past: Flown, seconds: int, watts: float, armed: bool | None, is_aloft:
     return past
 
 
-def is_flying(past: Flown) -> bool:
+def is_flying(past: FlightSoFar) -> bool:
     return math.isfinite(past.flying_since_s)
 
 
 def test_a_payload_on_the_ground_is_no_flight_and_does_not_count_for_the_next() -> None:
     """40 W, half a C, for ten minutes before the take-off."""
-    ground = after(Flown(), 600, 40.0, armed=False)
+    ground = after(FlightSoFar(), 600, 40.0, armed=False)
     assert not is_flying(ground)
     begun = after(ground, 5, 300.0, armed=True)
     assert is_flying(begun) and begun.mean_W > 250.0
@@ -36,45 +38,45 @@ def test_a_payload_on_the_ground_is_no_flight_and_does_not_count_for_the_next() 
 
 @pytest.mark.parametrize("armed", [None, False])
 def test_a_load_that_must_fly_is_a_flight_whatever_the_flag_says(armed: bool | None) -> None:
-    assert is_flying(after(Flown(), 20, 300.0, armed))
+    assert is_flying(after(FlightSoFar(), 20, 300.0, armed))
 
 
 def test_an_aeroplane_of_long_endurance_flies_once_it_has_been_armed_for_a_minute() -> None:
     """A third of a C: 26 W of 5 Ah."""
-    assert not is_flying(after(Flown(), 30, 26.0, armed=True))
-    assert is_flying(after(Flown(), 90, 26.0, armed=True))
-    assert not is_flying(after(Flown(), 90, 26.0, armed=None))
+    assert not is_flying(after(FlightSoFar(), 30, 26.0, armed=True))
+    assert is_flying(after(FlightSoFar(), 90, 26.0, armed=True))
+    assert not is_flying(after(FlightSoFar(), 90, 26.0, armed=None))
 
 
 @pytest.mark.parametrize("watts", [26.0, 40.0])
 def test_waiting_armed_on_the_ground_is_no_part_of_the_flight(watts: float) -> None:
     """A third and half a C for a quarter of an hour, with heaters and radios, then a hover."""
-    told = after(Flown(), 900, watts, armed=True, is_aloft=False)
+    told = after(FlightSoFar(), 900, watts, armed=True, is_aloft=False)
     assert not is_flying(told)
     assert after(told, 20, 300.0, armed=True, is_aloft=True).mean_W > 250.0
-    untold = after(after(Flown(), 900, watts, armed=True), 20, 300.0, armed=True)
+    untold = after(after(FlightSoFar(), 900, watts, armed=True), 20, 300.0, armed=True)
     assert is_flying(untold) and untold.mean_W > 250.0
 
 
 def test_a_burst_in_the_first_minutes_is_no_new_flight() -> None:
     """A racer: each burst was taken for the take-off, and the charge of the take-off with it."""
-    past = after(Flown(), 20, 100.0, armed=True)
+    past = after(FlightSoFar(), 20, 100.0, armed=True)
     for _ in range(10):
         past = after(after(past, 5, 800.0, armed=True), 10, 50.0, armed=True)
     assert past.took_off_s < 30.0 and past.mean_W == pytest.approx(300.0, rel=0.1)
 
 
 def test_an_aeroplane_that_climbs_is_no_new_flight() -> None:
-    cruising = after(Flown(), 900, 40.0, armed=True, is_aloft=True)
+    cruising = after(FlightSoFar(), 900, 40.0, armed=True, is_aloft=True)
     assert after(cruising, 20, 300.0, armed=True, is_aloft=True).mean_W < 60.0
 
 
 def test_what_the_autopilot_calls_landed_flies_with_a_load_that_must_fly() -> None:
-    assert is_flying(after(Flown(), 20, 300.0, armed=True, is_aloft=False))
+    assert is_flying(after(FlightSoFar(), 20, 300.0, armed=True, is_aloft=False))
 
 
 def test_what_is_high_or_fast_flies_and_a_glide_of_minutes_is_no_landing() -> None:
-    aloft = after(Flown(), 30, 12.0, armed=True, is_aloft=True)
+    aloft = after(FlightSoFar(), 30, 12.0, armed=True, is_aloft=True)
     assert is_flying(aloft)
     assert is_flying(after(aloft, 300, 0.0, armed=True, is_aloft=True))
     assert not is_flying(after(aloft, 300, 0.0, armed=True))
@@ -95,7 +97,7 @@ def test_where_it_is_says_that_it_flies() -> None:
 @pytest.mark.parametrize("rows", [1, 3])
 def test_a_flag_that_is_wrong_for_a_moment_under_full_load_begins_no_flight(rows: int) -> None:
     """One damaged heartbeat took the learned load away: the time left leapt by half, and for minutes."""
-    flown = after(Flown(), 300, 300.0, armed=True)
+    flown = after(FlightSoFar(), 300, 300.0, armed=True)
     flapped = after(after(flown, rows, 300.0, armed=False), 5, 300.0, armed=True)
     assert flapped.took_off_s == flown.took_off_s and flapped.flown_s == flown.flown_s + rows + 5
-    assert flapped.load.flown == after(flown, rows + 5, 300.0, armed=True).load.flown
+    assert flapped.load.history == after(flown, rows + 5, 300.0, armed=True).load.history

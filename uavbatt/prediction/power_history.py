@@ -22,8 +22,8 @@ LONGEST_ROW_S = 30.0  # the power in a longer gap is not known
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 
 
-class PowersFlown(NamedTuple):
-    """PowersFlown holds the mean powers [W] of pieces of `piece_s` [s], the oldest first, and the open piece."""
+class PowerHistory(NamedTuple):
+    """PowerHistory holds the mean powers [W] of pieces of `piece_s` [s], the oldest first, and the open piece."""
 
     piece_s: float = SHORTEST_PIECE_S
     open_J: float = 0.0
@@ -42,7 +42,7 @@ class PowersFlown(NamedTuple):
         """Return the time of all closed pieces [s]."""
         return len(self.pieces_W) * self.piece_s
 
-    def after(self, power_W: float, dt_s: float) -> PowersFlown:
+    def after(self, power_W: float, dt_s: float) -> PowerHistory:
         """Return the same with `dt_s` [s] more at `power_W` [W]."""
         now, left_s = self, min(max(dt_s, 0.0), LONGEST_ROW_S)
         while now.open_s + left_s >= now.piece_s:
@@ -51,13 +51,13 @@ class PowersFlown(NamedTuple):
             left_s -= part_s
         return now._replace(open_J=now.open_J + left_s * power_W, open_s=now.open_s + left_s)
 
-    def _closed(self, piece_W: float) -> PowersFlown:
+    def _closed(self, piece_W: float) -> PowerHistory:
         """Return the same with one more piece; where there are too many, two become one."""
         pieces_W, piece_s = (*self.pieces_W, piece_W), self.piece_s
         if len(pieces_W) == MOST_PIECES:
             pieces_W = tuple(np.mean(np.reshape(pieces_W, (-1, 2)), axis=1).tolist())
             piece_s *= 2.0
-        return PowersFlown(piece_s, pieces_W=pieces_W)
+        return PowerHistory(piece_s, pieces_W=pieces_W)
 
     def blocks_W(self, block_s: float, most: int) -> Array:
         """Return the mean powers [W] of the last blocks of `block_s` [s], at most `most`; they end at `length_s`."""
