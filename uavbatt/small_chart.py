@@ -78,10 +78,10 @@ def small_chart(
         return f"{right:.1f},{down:.1f}"
 
     parts = []
-    for pieces in _known(zip(tops, bottoms, strict=True)):
+    for pieces in _known_runs(zip(tops, bottoms, strict=True)):
         around = [top for top, _ in pieces] + [bottom for _, bottom in reversed(pieces)]
         parts.append(f'<polygon points="{" ".join(map(place, around))}" fill="currentColor" fill-opacity="0.2"/>')
-    for points in _known(((x[i], y[i]),) for i in chosen):
+    for points in _known_runs(((x[i], y[i]),) for i in chosen):
         line = " ".join(place(point) for (point,) in points)
         parts.append(f'<polyline points="{line}" fill="none" stroke="currentColor" stroke-width="1.5"/>')
     named = f'class="{escape(css)}" ' if css else ""
@@ -115,7 +115,7 @@ def _chosen(count: int) -> list[int]:
     return sorted({round(k * (count - 1) / (MOST_POINTS - 1)) for k in range(MOST_POINTS)})
 
 
-def _known(points: Iterable[tuple[Point, ...]]) -> list[list[tuple[Point, ...]]]:
+def _known_runs(points: Iterable[tuple[Point, ...]]) -> list[list[tuple[Point, ...]]]:
     """Return the runs of neighbours in which every number is known."""
     runs = groupby(points, key=lambda of_one: all(math.isfinite(value) for point in of_one for value in point))
     return [list(run) for is_known, run in runs if is_known]

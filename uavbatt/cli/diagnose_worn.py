@@ -48,10 +48,10 @@ def base_pack(packs: Path | None, stated: str, flights: list[Flight], file: Batt
     health = prior(last, start_utc_s, file.certificate.content_sha256)
     if not health.may_be(pack):
         return BasePack(pack, file, words=f"pack {name}: remembered with {health.cells} cells, not believed to be this")
-    return _worn(name, file, pack, health)
+    return _worn_pack(name, file, pack, health)
 
 
-def _worn(name: str, file: BatteryFile, pack: Pack, health: PackHealth) -> BasePack:
+def _worn_pack(name: str, file: BatteryFile, pack: Pack, health: PackHealth) -> BasePack:
     from uavbatt.battery.remembered import type_ohm, wear_of
     from uavbatt.battery.scaling import pack_of
     from uavbatt.diagnosis.close import with_effects

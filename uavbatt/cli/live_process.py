@@ -40,7 +40,7 @@ def run(config: Config) -> None:
     content = battery_file.read_battery(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
     if content.status == "edited":
         tell(f"{config.pack.battery}: {content.caveat}")
-    options, settings = stated(config.pack)
+    options, settings = pack_and_forecasts(config.pack)
     link, stations = _links(config)
     daemon = Daemon(config, content, options, settings, link, stations)
     told: set[int] = set()
@@ -114,7 +114,7 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
     return ProxyClient(ProxySettings(link.endpoint, link.gcs, control, *asks, soc=feed.proxy_soc)), ()
 
 
-def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
+def pack_and_forecasts(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
     """Return the pack and the forecasts as the configuration states them. Raises UsageError for `--load log`."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions

@@ -86,7 +86,7 @@ def _iso(tests: DataSet, limits: Limits, ship: Path | None, report: Path | None,
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
     with progress_bar(tests.name) as progress:
         result = judge(tests, limits, progress)
-    printed = _printed(tests)
+    printed = _paper_replay(tests)
     for line in _lines(result):
         say(line, report, json_file)
     if ship is not None:
@@ -159,7 +159,7 @@ def _lines(result: Validation) -> list[str]:
     return lines
 
 
-def _printed(tests: DataSet) -> PaperReplay | None:
+def _paper_replay(tests: DataSet) -> PaperReplay | None:
     """Return the result of the study's own method; None if it does not apply to these tests."""
     from uavbatt.errors import UavbattError
     from uavbatt.validation.study import paper

@@ -45,7 +45,7 @@ class EffectClass:
 
 def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectClass:
     """Turn a finding into a class; `believed` is the probability that the cause is one of the candidates."""
-    members = _named(problem, tuple(m.candidate.name for m in finding.members))
+    members = _with_second_names(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
         if fit.candidate.name in members:  # a second name may have taken its place
@@ -87,7 +87,7 @@ def hidden_sizes(tried: Trial) -> tuple[HiddenSize, ...]:
     return tuple(sorted(out, key=lambda h: h.name))
 
 
-def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
+def _with_second_names(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     """Return the members, each followed by its second name if it has one.
 
     A lag of a minute can be called fast diffusion or slow polarisation. A pack that is only discharged shows its branch

@@ -140,7 +140,7 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     its = sorted(courses(len(order)), key=lambda c: -owns[place].saved(c))[:REFITTED]
     tried = _refitted(problem, [(best.option, c) for c in its], before, order)
     chosen = _chosen([best, *tried])
-    if not _earned(chosen, before, len(order)):
+    if not _is_earned(chosen, before, len(order)):
         return None
     rivals = trial(problem, before, [on_course(o, chosen.course, order) for o in free], FIRST_TURNS)
     if not rivals.rivals:
@@ -186,11 +186,11 @@ def _refitted(
 def _best(tried: list[_CourseFit], before: Refit) -> _CourseFit | None:
     """Return the refit with the least chi-square among those worth enough; none that stands at a physical bound."""
     flights = len(before.chi2)
-    earned = [t for t in tried if not at_bound(t.fit) and _earned(t, before, flights)]
+    earned = [t for t in tried if not at_bound(t.fit) and _is_earned(t, before, flights)]
     return min(earned, key=lambda t: t.fit.total, default=None)
 
 
-def _earned(tried: _CourseFit, before: Refit, flights: int) -> bool:
+def _is_earned(tried: _CourseFit, before: Refit, flights: int) -> bool:
     """Return True if an effect is worth more than chance gives; in one flight only, more than a peculiarity gives."""
     its = worth(tried.fit, before)
     if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can confirm it

@@ -47,7 +47,7 @@ def asked_of_each(problem: Problem, pair: Candidate) -> float:
 
 def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Pair | None:
     """Return the two effects that explain most, each worth enough beside the other; None if no pair passes."""
-    earned = whole(problem, _earned(problem, options, singles, best)[:TRIED], singles)
+    earned = whole(problem, _earning_pairs(problem, options, singles, best)[:TRIED], singles)
     if not earned:
         return None
     likely = likeliness(problem, earned)
@@ -73,7 +73,7 @@ def _seeds(singles: Trial) -> list[Refit]:
     return seeds
 
 
-def _earned(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
+def _earning_pairs(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
     """Return, by chi-square, the pairs in which each effect is worth enough beside the other."""
     tried: list[Candidate] = []
     starts: list[Refit] = []

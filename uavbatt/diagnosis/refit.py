@@ -66,7 +66,7 @@ def refit(
         batch.fill_from(u[i], given)
         v[i] = given.v
     if not file_errors:
-        u = _scanned(batch, u, v)
+        u = _best_of_scan(batch, u, v)
     damping = np.full(len(candidates), 1e-2)
     moving, going = batch.moving, np.arange(len(candidates))
     state = _linearised(batch, u, v, moving)
@@ -90,7 +90,7 @@ def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array,
     du[..., moving] = _step(now, v[going], damping[going])
     du = np.clip(u[going] + du, part.low[:, None], part.high[:, None]) - u[going]
     dv = _nuisance_step(now, v[going], du[..., moving], damping[going])
-    few = np.flatnonzero(_promised(now, v[going], du[..., moving], dv) >= CONVERGED)
+    few = np.flatnonzero(_linear_gain(now, v[going], du[..., moving], dv) >= CONVERGED)
     going, now, to_u, to_v = going[few], now.of(few), (u[going] + du)[few], (v[going] + dv)[few]
     if not going.size:
         return going
@@ -103,14 +103,14 @@ def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array,
     return going
 
 
-def _promised(s: _Linearised, v: Array, du: Array, dv: Array) -> Array:
+def _linear_gain(s: _Linearised, v: Array, du: Array, dv: Array) -> Array:
     """Return the chi-square that a full step would gain if the model were linear, g'd."""
     *_, g_u, g_v = _blocks(s, v)
     out: Array = np.sum(g_u * du, axis=(1, 2)) + np.sum(g_v * dv, axis=(1, 2))
     return out
 
 
-def _scanned(batch: Batch, u: Array, v: Array) -> Array:
+def _best_of_scan(batch: Batch, u: Array, v: Array) -> Array:
     """Return the best of a few sizes of the last quantity: the slope at zero does not lead to a large effect."""
     us = np.repeat(u[None], len(SCAN), axis=0)
     for i, c in enumerate(batch.candidates):

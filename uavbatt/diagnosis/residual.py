@@ -105,12 +105,12 @@ def shape(found: list[Residual]) -> Shape:
         "temperature": np.concatenate([r.temp_C[~r.rest] for r in found]),
         "time since take-off": since,
     }
-    shares = {name: _explained(error, by) for name, by in columns.items() if np.isfinite(by).all()}
+    shares = {name: _explained_share(error, by) for name, by in columns.items() if np.isfinite(by).all()}
     best = max(shares, key=lambda k: shares[k])
     return Shape(best, shares[best], float(np.median([_lasting(r) for r in found])))
 
 
-def _explained(error: Array, by: Array) -> float:
+def _explained_share(error: Array, by: Array) -> float:
     """Return the share of the mean square that the means of PARTS equal groups explain."""
     group = np.searchsorted(np.quantile(by, np.arange(1, PARTS) / PARTS), by)
     means = np.array([error[group == g].mean() if (group == g).any() else 0.0 for g in range(PARTS)])

@@ -100,7 +100,7 @@ class SwapWatch(NamedTuple):
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             is_shown = silence is not None and now._shows_another(silence, sample, pack)
-            return self._other(now, silence) if is_shown else now._kept(silence, sample, pack)
+            return self._other(now, silence) if is_shown else now._with_silence(silence, sample, pack)
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
         if time_s - since_s > SLOWLY_AFTER_S:
@@ -127,7 +127,7 @@ class SwapWatch(NamedTuple):
         cells = float(pack.installation.cells)
         return silence.is_another_rested((sample.voltage_V + self._drop_V(pack, sample.current_A)) / cells)
 
-    def _kept(self, silence: Silence | None, sample: Sample, pack: Pack) -> SwapWatch:
+    def _with_silence(self, silence: Silence | None, sample: Sample, pack: Pack) -> SwapWatch:
         """Return the watch with the silence as long as the aircraft stands; a flight that goes on ends it."""
         return self._replace(silence=silence) if silence and _is_on_ground(silence, sample, pack) else self
 

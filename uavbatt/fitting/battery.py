@@ -78,7 +78,7 @@ def fit_battery(
     left = assemble.discrepancy(stack, shown, size.cells, held_out=False, source=source)
     typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
     left = msgspec.structs.replace(left, wander=wander.learn(stack, shown, list(typical), size.cells))
-    doubtful, unknown = _doubtful(found), _unknown(found, stack, bool(bench))
+    doubtful, unknown = _doubtful(found), _unknown_words(found, stack, bool(bench))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
@@ -99,7 +99,7 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    return FittedBattery(file, _known(found), unknown, doubtful)
+    return FittedBattery(file, _known_words(found), unknown, doubtful)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
@@ -165,7 +165,7 @@ def _first(values: list[float]) -> float:
     return next((v for v in values if np.isfinite(v)), float("nan"))
 
 
-def _known(found: BatteryFit) -> tuple[str, ...]:
+def _known_words(found: BatteryFit) -> tuple[str, ...]:
     """Return each parameter with its standard error, in words."""
     lines = []
     for i, slot in enumerate(found.slots):
@@ -194,7 +194,7 @@ def _doubtful(found: BatteryFit) -> tuple[str, ...]:
     return (f"{', '.join(far)} lie far from those of LiPo cells: {why}",) if far else ()
 
 
-def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
+def _unknown_words(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     """Return in words which quantities the records do not determine."""
     told_nothing = [
         s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0

@@ -38,7 +38,7 @@ class LogFile:
     def read(self) -> bytes:
         """Return the bytes. Raises Unreadable when they cannot be read."""
         try:
-            return _opened(self.name) if "://" in self.name else Path(self.name).read_bytes()
+            return _read_bytes(self.name) if "://" in self.name else Path(self.name).read_bytes()
         except Exception as error:  # a remote file system raises whatever its library raises
             raise Unreadable(self.name, "", f"a log that can be read: {_words(error)}") from None
 
@@ -114,7 +114,7 @@ def _address(pattern: str, file: Any) -> str:
     return str(file.full_name)
 
 
-def _opened(name: str) -> bytes:
+def _read_bytes(name: str) -> bytes:
     from fsspec.core import open as open_address
 
     with open_address(name, "rb") as stream:

@@ -100,10 +100,10 @@ class Processes(Generic[Row]):
                 self._look_s = time.monotonic() + LOOK_PERIOD_S
                 busy = [worker for worker in self._workers if worker.task is not None]
                 for worker in [w for w in busy if w.memory_bytes() > self._limit_bytes]:
-                    yield self._lost(worker, f"it took more than {self._limit_bytes / 1e6:.0f} MB of memory")
+                    yield self._replace_worker(worker, f"it took more than {self._limit_bytes / 1e6:.0f} MB of memory")
             self._hand_out()
             for line in wait([worker.line for worker in self._workers], LOOK_PERIOD_S):
-                found = self._heard(next(w for w in self._workers if w.line is line))
+                found = self._row_from(next(w for w in self._workers if w.line is line))
                 self._hand_out()
                 yield found
 
@@ -117,15 +117,15 @@ class Processes(Generic[Row]):
             if self._queue and worker.is_ready and worker.task is None:
                 worker.give(self._queue.popleft())
 
-    def _heard(self, worker: Worker) -> tuple[int, Row] | None:
+    def _row_from(self, worker: Worker) -> tuple[int, Row] | None:
         try:
             row: Row | None = worker.line.recv()
         except (EOFError, OSError):
-            return self._lost(worker, "the worker ended while it read this log, perhaps for lack of memory")
+            return self._replace_worker(worker, "the worker died on it, of too little memory perhaps")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 
-    def _lost(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
+    def _replace_worker(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
         """Replace a lost worker by a new one; return the row of its log if that has been tried often enough."""
         code, task = worker.end(), worker.task
         if not worker.is_ready:

@@ -62,8 +62,8 @@ class Batteries:
         self._facts: dict[int, tuple[int, PackFacts]] = {}  # by the version of the parameters
         self._note_until_s = now_s + NOTE_S  # until then the notes say how the estimate began
         self._problem = ""
-        self._resumption = self._found(now_s)
-        self._keeper = self._opened()
+        self._resumption = self._read_resumption(now_s)
+        self._keeper = self._open_ledger()
 
     def begin_vehicle(self) -> None:
         """Begin with the batteries of another vehicle, which is followed from now on.
@@ -91,7 +91,7 @@ class Batteries:
         now_s : on the monotonic clock [s]
         """
         instance = row.instance
-        tracked = self._tracked(instance, now_s)
+        tracked = self._battery_of(instance, now_s)
         if self._keeper is not None and self._reader.following.awaited is None:  # else these are another crew's packs
             self._remember(self._keeper, row, vehicle, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
@@ -126,7 +126,7 @@ class Batteries:
         self.reports[instance] = report
         return report
 
-    def _tracked(self, instance: int, now_s: float) -> TrackedBattery:
+    def _battery_of(self, instance: int, now_s: float) -> TrackedBattery:
         """Return the battery of this instance; a new one begins from its saved state, if there is one."""
         if not self.tracked:
             self._reader.resume(self._resumption.meet(self._vehicle))
@@ -156,7 +156,7 @@ class Batteries:
             self._keeper.look_after(now_s)
         path = self._config.state.file
         is_own = self._reader.following.awaited is None  # else the state in the file belongs to the awaited vehicle
-        batteries = self._saved(now_s) if path and is_own else {}
+        batteries = self._resumable(now_s) if path and is_own else {}
         if not batteries:
             return
         known = self._reader.parameters.items()
@@ -181,7 +181,7 @@ class Batteries:
             return state.SavedVehicle(system=0, component=0)
         return state.SavedVehicle(system=vehicle.system, component=vehicle.component, hardware=vehicle.hardware)
 
-    def _saved(self, now_s: float) -> dict[str, SavedBattery]:
+    def _resumable(self, now_s: float) -> dict[str, SavedBattery]:
         """Return the batteries that the next process may resume: those whose last row is not too old."""
         waited_s = self._resumption.age_s + now_s - self._start_s
         left = self._resumption.left(self._vehicle).items()
@@ -196,7 +196,7 @@ class Batteries:
         every = {**silent, **heard}
         return {key: saved for key, saved in every.items() if saved.since_row_s <= self._config.state.max_age_s}
 
-    def _opened(self) -> PackKeeper | None:
+    def _open_ledger(self) -> PackKeeper | None:
         packs = self._config.packs
         if not packs.file:
             return None
@@ -219,7 +219,7 @@ class Batteries:
         if resolved is not None:
             keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.capacity_Ah)
 
-    def _found(self, now_s: float) -> Resumption:
+    def _read_resumption(self, now_s: float) -> Resumption:
         """Return the state that an earlier process has left for this one."""
         if not self._config.state.file:
             return Resumption(state.FoundState(None, 0.0, ""))

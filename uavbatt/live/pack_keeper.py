@@ -171,15 +171,15 @@ class PackKeeper:
             return
         flying, kept.flying = kept.flying, None
         kept.hand_over(flying)
-        kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
+        kept.health = self._worker.submit(self._noting_errors, self._end_flight, kept, flying)
 
     def _land_again(self) -> None:
         """Try again to save the landed flights that could not be written."""
         for _ in range(len(self._landing)):
             kept, flying = self._landing.popleft()
-            kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
+            kept.health = self._worker.submit(self._noting_errors, self._end_flight, kept, flying)
 
-    def _landed(self, kept: LedgerBattery, flying: FlightInAir) -> PackHealth | None:
+    def _end_flight(self, kept: LedgerBattery, flying: FlightInAir) -> PackHealth | None:
         """Save the record of a flight, and return the new health of the pack."""
         try:
             self._write(flying)
@@ -189,7 +189,7 @@ class PackKeeper:
             raise
         assert flying.number is not None
         self._learn(flying.number)
-        return self._recalled(kept.name, kept.last_s)
+        return self._health_of(kept.name, kept.last_s)
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
         """Run work in the thread; on an error set the note and return None, so that the process goes on."""
@@ -202,11 +202,11 @@ class PackKeeper:
         return None
 
     def _look_up(self, name: str, now_s: float) -> PackHealth | None:
-        health = self._recalled(name, now_s)
+        health = self._health_of(name, now_s)
         self.note = f"pack {name}: {'met before' if health is not None else 'new'}"
         return health
 
-    def _recalled(self, name: str, now_s: float) -> PackHealth | None:
+    def _health_of(self, name: str, now_s: float) -> PackHealth | None:
         last = self._ledger.last(name)
         return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
 

@@ -82,7 +82,7 @@ class ProxyClient:
         found: list[Chunk] = []
         while self._pipe is not None and (data := self._pipe.read()) != b"":
             if data is None:
-                self._lost(now_s)
+                self._close_control(now_s)
                 break
             for message in self._messages.feed(data):
                 found += self._chunks(message)
@@ -189,7 +189,7 @@ class ProxyClient:
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
         self._next_s = now_s + self._pause_s
 
-    def _lost(self, now_s: float) -> None:
+    def _close_control(self, now_s: float) -> None:
         self.close()
         self._next_s = now_s + 0.05
 

@@ -70,14 +70,14 @@ class Recorder:
             return
         self._paused_s = None
         try:
-            if self._raw is None and not self._begun(stamp_us, time_s, now_s):
+            if self._raw is None and not self._begin_file(stamp_us, time_s, now_s):
                 return
             assert self._raw is not None
             self._raw.write(struct.pack(">Q", stamp_us) + frame)
             if now_s >= self._look_s:
                 self._look(now_s)
         except OSError as error:
-            self._failed(error.strerror or str(error), now_s)
+            self._note_failure(error.strerror or str(error), now_s)
 
     def step(self, instance: int, estimate: Estimate, remaining: Remaining, now_s: float) -> None:
         """Record the estimate and the remaining time of a row."""
@@ -90,7 +90,7 @@ class Recorder:
             shifted = replace(estimate, time_s=estimate.time_s - self._start_s)
             JsonLinesSink(self._lines[instance]).write(line(shifted, remaining))
         except OSError as error:
-            self._failed(error.strerror or str(error), now_s)
+            self._note_failure(error.strerror or str(error), now_s)
 
     def flush(self, now_s: float) -> None:
         """Flush buffered data to the operating system, once a second."""
@@ -101,7 +101,7 @@ class Recorder:
             for file in self._files():
                 file.flush()
         except OSError as error:
-            self._failed(error.strerror or str(error), now_s)
+            self._note_failure(error.strerror or str(error), now_s)
 
     def close(self) -> None:
         """End this recording; the next frame begins another."""
@@ -115,12 +115,12 @@ class Recorder:
     def _files(self) -> list[BinaryIO | TextIO]:
         return [*([self._raw] if self._raw is not None else []), *self._lines.values()]
 
-    def _begun(self, stamp_us: int, time_s: float, now_s: float) -> bool:
+    def _begin_file(self, stamp_us: int, time_s: float, now_s: float) -> bool:
         if now_s < self._next_s:
             return False
         self._folder.mkdir(parents=True, exist_ok=True)
         if self._free_MB() < self._settings.min_free_MB:
-            self._failed(f"less than {self._settings.min_free_MB:g} MB free", now_s)
+            self._note_failure(f"less than {self._settings.min_free_MB:g} MB free", now_s)
             return False
         self._name = self._new_name(stamp_us)
         self._raw = (self._folder / f"{self._name}.tlog").open("wb")
@@ -143,7 +143,7 @@ class Recorder:
         if self._raw.tell() > self._settings.max_file_MB * MB:
             self.close()
         elif self._free_MB() < self._settings.min_free_MB:
-            self._failed(f"less than {self._settings.min_free_MB:g} MB free", now_s)
+            self._note_failure(f"less than {self._settings.min_free_MB:g} MB free", now_s)
         else:
             self._is_stop_told = False  # it records again
 
@@ -158,7 +158,7 @@ class Recorder:
             for part in [old, *self._folder.glob(f"{old.stem}.battery*.jsonl")]:
                 part.unlink(missing_ok=True)
 
-    def _failed(self, why: str, now_s: float) -> None:
+    def _note_failure(self, why: str, now_s: float) -> None:
         self.close()
         if not self._is_stop_told:
             self._is_stop_told = True

@@ -164,14 +164,14 @@ def replay(
     for argument, value in (("mission", mission), ("packs", packs)):
         if value is not None:
             check_path(argument, value, "the path of a file, or None")
-    content, flown = _read(battery, allow_uncertified), _read_vehicle(vehicle)
+    content, flown = _battery_content(battery, allow_uncertified), _vehicle_content(vehicle)
     flight = _flight(log, instance)
     if mission is not None:
         flight = with_mission(flight, read_mission(mission))
     options = PackOptions(cells, capacity_Ah, cutoff_V, names=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
-    health = _recalled(packs, pack, flight, content, options)
+    health = _health_before(packs, pack, flight, content, options)
     estimator = estimator_for(flight, content, options, settings, health)
     run = list(steps(flight, estimator))
     size = size_of_replayed(estimator, flight)
@@ -184,7 +184,7 @@ def _minutes(seconds: float) -> str:
     return output.clock(seconds, "unbounded" if math.isinf(seconds) else "not known")
 
 
-def _recalled(
+def _health_before(
     packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile, options: PackOptions
 ) -> PackHealth | None:
     """Return the health of the flight's pack by its earlier flights in the ledger.
@@ -211,7 +211,7 @@ def _remember(
             ledger.save(name, found)
 
 
-def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:
+def _battery_content(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:
     """Return the content of a battery file that is named, or as it is given."""
     if isinstance(battery, BatteryFile):
         return battery
@@ -219,7 +219,7 @@ def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> Battery
     return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
 
 
-def _read_vehicle(vehicle: str | Path | VehicleFile | None) -> VehicleFile | None:
+def _vehicle_content(vehicle: str | Path | VehicleFile | None) -> VehicleFile | None:
     """Return the content of a vehicle file that is named, or as it is given."""
     if isinstance(vehicle, VehicleFile | None):
         return vehicle

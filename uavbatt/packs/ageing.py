@@ -61,7 +61,7 @@ def first_known(flight: FlightRecord) -> PackBelief:
     """Return the belief about a pack after its first flight: new and used packs, each weighed by its likelihood."""
     kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
     likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
-    return _together(_shares(likely), [_taken(kind, flight) for kind in kinds])
+    return _together(_shares(likely), [_with_flight(kind, flight) for kind in kinds])
 
 
 def _shares(likely: Array) -> Array:
@@ -143,9 +143,9 @@ def history(flights: Sequence[FlightRecord]) -> list[LedgerFlight]:
     fullest_V = ORDINARY_FULL_V
     for flight in flights:
         if course is None:
-            course, findings = _begun(flight)
+            course, findings = _first_state(flight)
         elif fullest_V == course.last.fullest_cell_V == ORDINARY_FULL_V < flight.fullest_cell_V:
-            course, findings = _begun(flight)[0], (odd.of_higher_charge(flight),)
+            course, findings = _first_state(flight)[0], (odd.of_higher_charge(flight),)
         else:
             course, findings = _next(course, flight)
         fullest_V = max(fullest_V, flight.fullest_cell_V) if math.isfinite(flight.fullest_cell_V) else fullest_V
@@ -153,11 +153,11 @@ def history(flights: Sequence[FlightRecord]) -> list[LedgerFlight]:
     return found
 
 
-def _begun(flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
+def _first_state(flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
     return AgeingState(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
 
 
-def _taken(expected: PackBelief, flight: FlightRecord) -> PackBelief:
+def _with_flight(expected: PackBelief, flight: FlightRecord) -> PackBelief:
     return updated(expected, flight.told.mean, flight.told.matrix)
 
 
@@ -171,12 +171,12 @@ def _next(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, tuple
         course, said = _improved(course, expected, flight, odd.another(z, change))
     elif max(z[OHM], -z[CHARGE]) > ODD_ALONE:
         said = odd.sudden(z, change)
-        known = _taken(_shaken(expected, z), flight)
+        known = _with_flight(_shaken(expected, z), flight)
         course = AgeingState(known, expected, flight, undamaged=expected, is_settled=False)
     elif course.is_settled and (both := _odd_together(course, flight)) is not None:
         course, said = both
     else:
-        return AgeingState(_taken(expected, flight), expected, flight, course.undamaged), beside
+        return AgeingState(_with_flight(expected, flight), expected, flight, course.undamaged), beside
     return course, (said, *beside)
 
 
@@ -196,13 +196,13 @@ def _improved(
     old = course.undamaged
     if old is not None and np.abs(oddness(predicted(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
         again = "as before the damage: the flights in between were another pack's"
-        return AgeingState(_taken(predicted(old, 0.0), flight), old, flight, is_settled=False), PackFinding(
+        return AgeingState(_with_flight(predicted(old, 0.0), flight), old, flight, is_settled=False), PackFinding(
             said.kind, again
         )
     if course.aside is not None:
         anew = first_known(course.aside)
         said = PackFinding(said.kind, "again another pack: remembered anew under this name")
-        return AgeingState(_taken(predicted(anew, 0.0), flight), anew, flight, is_settled=False), said
+        return AgeingState(_with_flight(predicted(anew, 0.0), flight), anew, flight, is_settled=False), said
     return AgeingState(expected, expected, course.last, aside=flight, is_settled=False), said
 
 
@@ -216,10 +216,10 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
         return None
     change = 0.5 * (course.last.told.mean + flight.told.mean) - H @ course.expected.mean
     begun = (_shaken(course.expected, z), course.expected)
-    between = [predicted(_taken(one, course.last), 0.0) for one in begun]
+    between = [predicted(_with_flight(one, course.last), 0.0) for one in begun]
     likely = np.array([DAMAGED_SHARE, 1.0 - DAMAGED_SHARE])
     likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
-    known = _together(_shares(likely), [_taken(one, flight) for one in between])
+    known = _together(_shares(likely), [_with_flight(one, flight) for one in between])
     said = odd.sudden(z, change, " since the flight before", "damaged, or ageing fast?")
     return AgeingState(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 

@@ -42,7 +42,7 @@ class UnfinishedFlight(NamedTuple):
 
 def store_flight(ledger: Ledger, flight: Airborne) -> int:
     """Store a flight that has begun; return the number under which it is kept."""
-    row = (flight.name, _stored(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
+    row = (flight.name, _none_if_nan(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
     with ledger.writing() as connection:
         found = connection.execute(
             "INSERT INTO airborne (name, start_utc_s, cells, capacity_Ah, cycles) VALUES (?, ?, ?, ?, ?)", row
@@ -52,7 +52,7 @@ def store_flight(ledger: Ledger, flight: Airborne) -> int:
 
 def store_rows(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
     """Append rows to a flight; their times count from its start [s]."""
-    values = [(number, r.time_s, r.voltage_V, _stored(r.current_A), _stored(r.temp_C)) for r in rows]
+    values = [(number, r.time_s, r.voltage_V, _none_if_nan(r.current_A), _none_if_nan(r.temp_C)) for r in rows]
     with ledger.writing() as connection:
         connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
 
@@ -72,18 +72,20 @@ def delete_flight(ledger: Ledger, number: int) -> None:
 
 def _left_over(connection: sqlite3.Connection, row: sqlite3.Row) -> UnfinishedFlight:
     with reading(row):
-        pack = Airborne(row["name"], _known(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
+        pack = Airborne(row["name"], _nan_if_none(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
         return UnfinishedFlight(int(row["id"]), pack, _rows(connection, int(row["id"])))
 
 
 def _rows(connection: sqlite3.Connection, number: int) -> tuple[Sample, ...]:
     found = connection.execute("SELECT * FROM rows WHERE flight = ? ORDER BY time_s", (number,))
-    return tuple(Sample(r["time_s"], r["voltage_V"], _known(r["current_A"]), _known(r["temp_C"])) for r in found)
+    return tuple(
+        Sample(r["time_s"], r["voltage_V"], _nan_if_none(r["current_A"]), _nan_if_none(r["temp_C"])) for r in found
+    )
 
 
-def _stored(value: float) -> float | None:
+def _none_if_nan(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _known(value: float | None) -> float:
+def _nan_if_none(value: float | None) -> float:
     return NAN if value is None else value

@@ -53,7 +53,7 @@ class Ledger:
 
     def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
         self.path = Path(path)
-        self._connection = _opened(self.path, only_read)
+        self._connection = _open(self.path, only_read)
         try:
             with self._named_errors():
                 now = schema.check_schema(self._connection, self.path)
@@ -153,7 +153,7 @@ class Ledger:
         check_name(name, self.path, "pack")
         with self.writing() as connection:
             pack = _pack_id(connection, self.path, name, flights)
-            kept = [_kept(connection, pack, flight) for flight in flights]
+            kept = [_write_flight(connection, pack, flight) for flight in flights]
             every = _work_out(connection, pack, name)
             if landed is not None:
                 connection.execute("DELETE FROM airborne WHERE id = ?", (landed,))
@@ -181,7 +181,7 @@ def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHe
     return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
 
 
-def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
+def _open(path: Path, only_read: bool) -> sqlite3.Connection:
     if only_read and not path.exists():
         raise BadInput(path, "", "a pack ledger, found no such file")
     if found := no_file(path):
@@ -234,7 +234,7 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
     return number
 
 
-def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
+def _write_flight(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
     """Write a flight, unless a longer record of it is there; return the key of the record that stays.
 
     The new record takes the number of the one it replaces, because the number orders flights without a clock.

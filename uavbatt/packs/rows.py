@@ -40,7 +40,7 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
     row = asdict(flight)
     row.pop("told")
     row.update({f"told_{name}": value for name, value in flight.told._asdict().items()})
-    return {name: _stored(value) for name, value in row.items()}
+    return {name: _column_value(value) for name, value in row.items()}
 
 
 def flight_of(row: sqlite3.Row) -> FlightRecord:
@@ -79,7 +79,7 @@ def pack_row(pack: PackRow) -> dict[str, Any]:
     """Return the columns of a pack."""
     row = {"name": pack.name, "cells": pack.cells, "rated_Ah": pack.rated_Ah, "type_ohm": pack.type_ohm}
     row |= {"last_utc_s": pack.last_utc_s, **asdict(pack.outlook), "findings": findings_text(pack.findings)}
-    return {name: _stored(value) for name, value in row.items()}
+    return {name: _column_value(value) for name, value in row.items()}
 
 
 def pack_of(row: sqlite3.Row) -> PackRow:
@@ -102,5 +102,5 @@ def findings_of(text: str) -> tuple[PackFinding, ...]:
     return tuple(PackFinding(**entry) for entry in json.loads(text)) if text else ()
 
 
-def _stored(value: Any) -> Any:
+def _column_value(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -61,7 +61,7 @@ class PowerHistory(NamedTuple):
 
     def blocks_W(self, block_s: float, most: int) -> Array:
         """Return the mean powers [W] of the last blocks of `block_s` [s], at most `most`; they end at `length_s`."""
-        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._drawn()
+        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._energy_until()
         edges_s = self.length_s - block_s * np.arange(count, -1, -1)
         return np.asarray(np.diff(np.interp(edges_s, at_s, drawn_J)) / block_s)
 
@@ -70,7 +70,7 @@ class PowerHistory(NamedTuple):
 
         It is relative to the mean, 1 where the flight has shown nothing yet.
         """
-        at_s, drawn_J = self._drawn()
+        at_s, drawn_J = self._energy_until()
         if not drawn_J[-1] > 0.0:
             return np.ones((edges_s.size - 1, count))
         turns, within_s = np.divmod(edges_s[:, None] + self.length_s * _begins(count), self.length_s)
@@ -78,7 +78,7 @@ class PowerHistory(NamedTuple):
         mean_W = drawn_J[-1] / self.length_s
         return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
 
-    def _drawn(self) -> tuple[Array, Array]:
+    def _energy_until(self) -> tuple[Array, Array]:
         """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
         drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
         return self.piece_s * np.arange(float(drawn_J.size)), drawn_J

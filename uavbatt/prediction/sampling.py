@@ -40,27 +40,27 @@ def wander(steps: int, by_rows: bool = False) -> Normals:
     Beyond LONGEST steps they repeat. A forecast with fewer steps keeps fewer in memory: 256 are enough for an hour of
     flight.
     """
-    return Normals(_kept(0, steps), _kept(1, steps) if by_rows else np.empty((0, DRAWS)))
+    return Normals(_held_normals(0, steps), _held_normals(1, steps) if by_rows else np.empty((0, DRAWS)))
 
 
 def wander_home(steps: int) -> Array:
     """Return standard normals [steps, DRAWS] of the model's error on a way home: others than on the way out."""
-    return _kept(0, steps, backwards=True)
+    return _held_normals(0, steps, backwards=True)
 
 
-def _kept(process: int, steps: int, backwards: bool = False) -> Array:
+def _held_normals(process: int, steps: int, backwards: bool = False) -> Array:
     """Return the first normals of a process (0 the model's error, 1 the rows' noise); backwards: its last ones."""
-    drawn = _drawn(process, held(steps), backwards)
+    drawn = _normals(process, held_steps(steps), backwards)
     return drawn[:steps] if steps <= LONGEST else np.resize(drawn, (steps, DRAWS))
 
 
-def held(steps: int) -> int:
+def held_steps(steps: int) -> int:
     """Return for how many steps normals are kept where `steps` are asked: the next power of two, at most LONGEST."""
     return min(max(FEWEST, 1 << (steps - 1).bit_length()), LONGEST)
 
 
 @cache
-def _drawn(process: int, steps: int, backwards: bool) -> Array:
+def _normals(process: int, steps: int, backwards: bool) -> Array:
     half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))[process]
     half = half[: -steps - 1 : -1] if backwards else half[:steps]
     return np.concatenate([half, -half], axis=1)

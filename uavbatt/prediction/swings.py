@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.prediction.sampling import LONGEST, held
+from uavbatt.prediction.sampling import LONGEST, held_steps
 
 # Manoeuvres (climbs, head wind) end a flight early: near empty one climb takes the voltage to the cut-off.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
@@ -44,7 +44,7 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
 
 def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
     """Return a process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
-    normals, memory = _normals(held(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
+    normals, memory = _normals(held_steps(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
 

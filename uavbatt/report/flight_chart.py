@@ -31,7 +31,7 @@ def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event])
     if not np.isfinite(rows.remaining_s).any():
         return figure(paragraph("The remaining time was refused throughout.", css="quiet"), TITLE)
     draw, top_min = _drawing(rows, axis, events)
-    alt = f"Time left in minutes over the flight, with its 90 % interval. {_spoken(events)}"
+    alt = f"Time left in minutes over the flight, with its 90 % interval. {_events_in_words(events)}"
     svg = plot.responsive(draw, alt, x=axis.label, y=Y_LABEL, right=ROOM_RIGHT, unit_s=axis.unit_s)
     return together((figure(svg, TITLE, _caption(rows, axis, top_min)), _list(events)))
 
@@ -76,7 +76,7 @@ def _mark(axes: Axes, place: float, event: Event, top_min: float) -> None:
     )  # fmt: skip
 
 
-def _spoken(events: Sequence[Event]) -> str:
+def _events_in_words(events: Sequence[Event]) -> str:
     return "; ".join(f"{event.words} at {duration(event.time_s)}" for event in events) + "." if events else ""
 
 

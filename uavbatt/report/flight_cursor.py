@@ -27,11 +27,11 @@ def cursor() -> Html:
 def cursor_script(rows: FlightSeries) -> Html:
     """Return the rows as data and the script; `page` names the script in its policy."""
     script = (resources.files("uavbatt.report") / "cursor.js").read_text("utf-8")
-    data = json.dumps(_shown(rows), separators=(",", ":")).replace("<", "\\u003c").replace("&", "\\u0026")
+    data = json.dumps(_chosen_rows(rows), separators=(",", ":")).replace("<", "\\u003c").replace("&", "\\u0026")
     return Html(f'<script type="application/json" id="rows">{data}</script>\n<script>{script}</script>')
 
 
-def _shown(rows: FlightSeries) -> dict[str, list[float | None]]:
+def _chosen_rows(rows: FlightSeries) -> dict[str, list[float | None]]:
     """Return at most MOST_ROWS of the known rows, evenly chosen; None is not known."""
     known = np.flatnonzero(np.isfinite(rows.voltage_V) | np.isfinite(rows.remaining_s))
     chosen = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_ROWS)).astype(int))]

@@ -26,7 +26,7 @@ def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]
         _charge_words(outcome),
         *_ended_by_voltage(outcome, resolved, steps),
         *_doubts(outcome, steps),
-        _checked(outcome, resolved),
+        _accuracy_words(outcome, resolved),
     ]
 
 
@@ -84,7 +84,7 @@ def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
     return [f"The alarm stood from {duration(since_s)} on: {chance} that less than 2 minutes were left."]
 
 
-def _checked(outcome: Outcome, resolved: PackSize) -> str:
+def _accuracy_words(outcome: Outcome, resolved: PackSize) -> str:
     """Return in words how accurate the forecasts were, if the log shows the end of flight."""
     if outcome.reserve_soc > 0.0:
         return f"{sentence(against_a_reserve(outcome.reserve_soc))}."

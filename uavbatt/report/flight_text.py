@@ -33,7 +33,7 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
         f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s{_which(flight)}",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
-        f"  forecast   {_given(found.refused_in_air)}",
+        f"  forecast   {_forecast_share_words(found.refused_in_air)}",
     ]
     lines += _route_lines(_route_summary(run))
     lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
@@ -89,7 +89,7 @@ def _charge(found: Outcome) -> str:
     return f"{found.end_soc:.0%} charge left ({low:.0%} to {high:.0%})"
 
 
-def _given(refused_in_air: float) -> str:
+def _forecast_share_words(refused_in_air: float) -> str:
     """Return in words the share of the flight with a forecast."""
     if not math.isfinite(refused_in_air):
         return "not judged: less than a minute in the air"

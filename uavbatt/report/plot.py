@@ -97,8 +97,8 @@ def panel(
     frames: list[str] = []
 
     def whole(figure: Figure) -> None:
-        axes = _drawn(figure, draw, x, y)
-        top = _placed(axes, (width, height), (left, right), legend_columns)
+        axes = _axes_with(figure, draw, x, y)
+        top = _place_axes(axes, (width, height), (left, right), legend_columns)
         if unit_s > 0.0:
             first, last = (unit_s * limit for limit in axes.get_xlim())
             box = f"{left} {width - right} {top} {height - BOTTOM}"
@@ -117,7 +117,7 @@ def _name_what_moves(axes: Axes) -> None:
             artist.set_gid(f"{kind}-{count}")
 
 
-def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes:
+def _axes_with(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes:
     axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
     draw(axes)
     axes.set_xlabel(x)
@@ -125,7 +125,7 @@ def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes
     return axes
 
 
-def _placed(
+def _place_axes(
     axes: Axes, size: tuple[float, float], beside: tuple[float, float], legend_columns: int, above: float = 0.0
 ) -> float:
     """Put axes in a figure of `size` with room `beside` and `above` them; return the room above."""
@@ -150,7 +150,7 @@ def save_picture(path: Path, draw: Callable[[Axes], None], title: str, *, x: str
     with style.context(["default", SETTINGS]), atomic_write(path, "wb") as stream:
         figure = Figure(figsize=(WIDE / 72.0, height / 72.0), dpi=72)
         FigureCanvasAgg(figure)
-        _placed(_drawn(figure, draw, x, y), (WIDE, height), (LEFT, right), legend_columns=6, above=TITLE_ROW)
+        _place_axes(_axes_with(figure, draw, x, y), (WIDE, height), (LEFT, right), legend_columns=6, above=TITLE_ROW)
         figure.text(0.5 * TOP / WIDE, 1.0 - 0.5 * TOP / height, _wrapped(title), va="top")
         metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
         figure.savefig(stream, format=kind, dpi=PRINTED_DPI, facecolor=PAPER, metadata=metadata)

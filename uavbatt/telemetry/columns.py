@@ -54,13 +54,13 @@ class Columns:
         """Return the rows as samples."""
         columns = (self.time_s, self.voltage_V, self.current_A, self.temp_C, self.consumed_Ah, self.reported_soc)
         armed = [_ARMED[a] for a in self.armed.tolist()]
-        numbers = [_listed(c) for c in columns]
+        numbers = [_as_list(c) for c in columns]
         if self.cells_V is None:
             return list(map(Sample, *numbers, armed))
-        return list(map(Sample, *numbers, armed, [_known(line) for line in self.cells_V.tolist()]))
+        return list(map(Sample, *numbers, armed, [_without_nan(line) for line in self.cells_V.tolist()]))
 
 
-def _listed(column: Column) -> list[float]:
+def _as_list(column: Column) -> list[float]:
     """Return the numbers as a list, every NaN as the object `records.NAN`, so that equal rows compare as equal."""
     unknown = np.isnan(column)
     if unknown.all():
@@ -68,7 +68,7 @@ def _listed(column: Column) -> list[float]:
     return [NAN if v != v else v for v in column.tolist()] if unknown.any() else column.tolist()
 
 
-def _known(cells_V: list[float]) -> tuple[float, ...]:
+def _without_nan(cells_V: list[float]) -> tuple[float, ...]:
     return tuple(v for v in cells_V if v == v)
 
 

@@ -51,7 +51,7 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
 
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
-    kind, log = _read(source, data, system)
+    kind, log = _kind_and_rows(source, data, system)
     chosen = _chosen(source, log, instance)
     return Flight(
         source=source,
@@ -73,7 +73,7 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """Read the rows of one battery as numpy columns instead of objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(*content_of(Path(path)))
+    _, log = _kind_and_rows(*content_of(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
@@ -166,7 +166,7 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
+def _kind_and_rows(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
     """Return the kind of a log and its rows. Raises BadInput if it is no log or has no rows."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")

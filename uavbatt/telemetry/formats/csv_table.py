@@ -22,7 +22,7 @@ from uavbatt.errors import BadInput
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_VOLTAGE_V, LogBuilder
 from uavbatt.telemetry.formats.csv_units import check_units
-from uavbatt.telemetry.formats.px4_unknown import known
+from uavbatt.telemetry.formats.px4_unknown import px4_value
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
@@ -86,7 +86,7 @@ def _scaled(column: str, cell: str, factor: float) -> str:
         value = float(cell)
     except ValueError:
         return cell
-    if math.isnan(known(column, value)):
+    if math.isnan(px4_value(column, value)):
         return ""
     return repr(value * factor) if factor != 1.0 else cell
 

@@ -13,6 +13,6 @@ _UNKNOWN = {
 }
 
 
-def known(column: str, value: float) -> float:
+def px4_value(column: str, value: float) -> float:
     """Return the value that a column of battery_status holds, NaN where it stands for unknown; the unit is PX4's."""
     return NAN if value == _UNKNOWN.get(column) else value

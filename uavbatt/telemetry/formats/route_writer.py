@@ -49,7 +49,7 @@ class FlownRoute(NamedTuple):
 
 def tlog_messages(route: FlownRoute) -> Iterator[tuple[float, Any]]:
     """Yield the messages of a route with their times [s], ascending."""
-    for message in _held(route):
+    for message in _home_and_mission(route):
         yield 0.0, message
     seq = None
     for row in route.rows:
@@ -61,7 +61,7 @@ def tlog_messages(route: FlownRoute) -> Iterator[tuple[float, Any]]:
             yield at_s, message
 
 
-def _held(route: FlownRoute) -> Iterator[Any]:
+def _home_and_mission(route: FlownRoute) -> Iterator[Any]:
     """Yield home, and the mission as a ground station downloads it."""
     home = route.home
     yield dialect.MAVLink_home_position_message(

@@ -15,7 +15,7 @@ from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
-from uavbatt.telemetry.formats.px4_unknown import known
+from uavbatt.telemetry.formats.px4_unknown import px4_value
 from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
 from uavbatt.telemetry.identity import utc_s, version
 
@@ -136,7 +136,7 @@ def _row(columns: Any, index: int) -> dict[str, float]:
 
 def _sample(row: dict[str, float], time_s: float, armed: bool | None) -> Sample:
     def read(column: str) -> float:
-        return finite_or_nan(known(column, row.get(column, NAN)))
+        return finite_or_nan(px4_value(column, row.get(column, NAN)))
 
     remaining = read("remaining")
     return Sample(
