@@ -93,7 +93,7 @@ def fast_shares(load: RouteLoad) -> Array:
     pieces = load.ahead.pieces
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
     steep = np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0)
-    return np.maximum(fast, steep) + beyond_learned(load.powers, pieces.airspeed_ms)
+    return np.hypot(np.maximum(fast, steep), beyond_learned(load.powers, pieces.airspeed_ms))
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:
