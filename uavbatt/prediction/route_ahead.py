@@ -81,9 +81,9 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 
 def way_of(progress: Progress) -> Way:
-    """Return the timing and the wind by which legs will be flown, from those flown so far."""
+    """Return the timing, the wind and the way of climbing by which legs will be flown, from those flown so far."""
     known = progress.lessons
-    return Way(known.short, known.long, known.wind)
+    return Way(known.short, known.long, known.wind, known.climbs_first)
 
 
 def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
