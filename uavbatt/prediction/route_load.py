@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what 
 GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RouteLoad:
     """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
 
@@ -35,13 +36,13 @@ class RouteLoad:
             return max(self.level * self.powers.hover_W, LOWEST_POWER_W)
         return max(float(np.average(self.piece_W, weights=lengths_s)), LOWEST_POWER_W)
 
-    @property
+    @cached_property
     def piece_W(self) -> Array:
         """Return the middle power of each piece [W]."""
         gained_ms, flown_W = self.ahead.pieces.gained_ms, self.flown_W
         return np.where(gained_ms > 0.0, turning_power(self.powers, flown_W, gained_ms, self.level), flown_W)
 
-    @property
+    @cached_property
     def flown_W(self) -> Array:
         """Return the power of each piece [W] once its speed is gained."""
         return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
