@@ -201,7 +201,8 @@ class Forecaster:
             scenario,
             question.reserve_soc,
         )
-        route = route_forecast.fly_ways(known, flying, way_of(self._progress), navigation.settings, typical_s)
+        home = route_forecast.homewards(self.settings.load, self._progress, navigation, time_s)
+        route = route_forecast.fly_ways(known, home, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:

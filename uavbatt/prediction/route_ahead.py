@@ -81,13 +81,13 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 
 def way_of(progress: Progress) -> LegTiming:
-    """Return the timing and the wind for the legs to come, as learned from the legs flown so far."""
+    """Return timing, wind and way of climbing for the legs to come, as learned from the legs flown so far."""
     known = progress.lessons
-    return LegTiming(known.short, known.long, known.wind)
+    return LegTiming(known.short, known.long, known.wind, known.climbs_first)
 
 
-def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """Return the way home from where the aircraft is, or the reason why it is not known."""
+def why_no_home(navigation: Navigation, time_s: float) -> str:
+    """Return why the way home from here is not known; empty if it is known."""
     if navigation.home is None:
         return "home is not known"
     here = here_at(time_s, navigation)
@@ -97,6 +97,14 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
         return elsewhere
     if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
         return "the aircraft returns along its own track, which is not known"
+    return ""
+
+
+def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
+    """Return the way home from where the aircraft is, or the reason why it is not known."""
+    here, reason = here_at(time_s, navigation), why_no_home(navigation, time_s)
+    if here is None or reason:
+        return reason
     legs = legs_table(_legs_home(here, navigation))
     return Ahead(here, way_of(progress).pieces(legs, is_flying=navigation.mode in RETURNS))
 

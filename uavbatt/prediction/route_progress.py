@@ -56,7 +56,7 @@ class Progress(NamedTuple):
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(time_s, navigation)._steadied(navigation.position)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
-        moved = moved._followed(time_s, navigation) if navigation.mode is Mode.MISSION else moved._paused(row_s)
+        moved = moved._followed(time_s, navigation, row_s) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
@@ -119,7 +119,7 @@ class Progress(NamedTuple):
         """Return the leg that is flown: the first of its item that is not over."""
         return self.path.legs[self.at + self.behind]
 
-    def _followed(self, time_s: float, navigation: Navigation) -> Progress:
+    def _followed(self, time_s: float, navigation: Navigation, row_s: float) -> Progress:
         """Return the progress on the present item by the place; it never goes back, and notes waits at a leg's end."""
         here = here_at(time_s, navigation)
         if here is None or not self.is_on_path:
@@ -127,6 +127,8 @@ class Progress(NamedTuple):
         moved, legs = self._arrived(time_s, here), self.path.legs[self.item]
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
             moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(time_s, here)
+        if moved.is_timed and moved.behind == 0 and moved.leg.phase is Phase.ROUTE and not moved.leg.circle_m > 0.0:
+            return moved._replace(lessons=moved.lessons.with_climb(moved.leg, here, row_s))
         return moved
 
     def _paused(self, row_s: float) -> Progress:
