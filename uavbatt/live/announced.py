@@ -11,12 +11,16 @@
 
 Pauses apply only between two texts about the same thing: no text waits for another. A text that falls into a pause and
 still holds at its end is sent then.
+
+Nobody acknowledges a STATUSTEXT, and a radio loses some. Alarms of two minutes and less and the warnings in CRITICAL
+are therefore sent again, AGAIN_AFTER_S later, if they still hold, with the time as it is then.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from uavbatt.live.headline import GIVES_NOTHING
 from uavbatt.live.report import LATE, Display, Report
@@ -28,6 +32,7 @@ ALARM_PAUSE_S = 10.0
 SAME_LOSS_PAUSE_S = 60.0  # for the same reason: slow or broken telemetry loses a number ten times a minute
 REARM = 1.2
 CRITICAL_BELOW_S = 90.0
+AGAIN_BELOW_S, AGAIN_AFTER_S = 120.0, (5.0, 15.0)
 LOST_AFTER_S = 1.0  # one bad row is not a loss
 WARNING_GONE_S = 60.0
 WITHOUT_AFTER_S = 20.0  # in a flight that has had no number yet
@@ -103,6 +108,18 @@ REASONS: dict[str, str] = {
 }
 
 
+class Repeat(NamedTuple):
+    """A Repeat is an announcement to be sent again at `due_s` [s], if it still holds.
+
+    words : the warning it is about; empty for the alarm at `threshold_s` [s]
+    """
+
+    severity: int
+    words: str
+    threshold_s: float
+    due_s: float
+
+
 class Announcer:
     """Announcer decides when a text about one battery is sent, and with which words."""
 
@@ -113,6 +130,7 @@ class Announcer:
         self._warned_s: dict[str, float] = {}  # when each warning was last seen
         self._was_known = self._is_without_said = False
         self._lost_s = math.nan
+        self._again: list[Repeat] = []
 
     def texts(
         self,
@@ -139,6 +157,21 @@ class Announcer:
             said += self._loss(now_s, shown, is_armed)
         if shown.status is not Status.STALE:
             said += self._new_warnings(now_s, report.estimate.warnings)
+        return self._named(said)
+
+    def repeats(self, now_s: float, report: Report, speaks_first: bool = True) -> list[tuple[int, str]]:
+        """Return (severity, text) of the important announcements that are due again; parameters as in `texts`."""
+        shown, said = report.at(now_s), []
+        due, self._again = [r for r in self._again if now_s >= r.due_s], [r for r in self._again if now_s < r.due_s]
+        for severity, words, threshold_s, _ in due:
+            if not words and speaks_first and shown.at_worst_s <= REARM * threshold_s:
+                said.append((severity, f"{_minutes(shown.at_worst_s)} left at worst"))
+            holds = words and shown.status is not Status.STALE
+            if holds and any(_tells(warning, words) for warning in report.estimate.warnings):
+                said.append((severity, WARNINGS[words]))
+        return self._named(said)
+
+    def _named(self, said: list[tuple[int, str]]) -> list[tuple[int, str]]:
         return [(severity, _fitting(f"Battery {self._instance}: {text}", LONGEST_TEXT)) for severity, text in said]
 
     def _alarm(self, now_s: float, shown: Display) -> list[tuple[int, str]]:
@@ -153,6 +186,9 @@ class Announcer:
             self._waiting[threshold_s] = False
             self._spoke_s[f"{threshold_s}"] = now_s
         severity = SEVERITY_CRITICAL if min(crossed) < CRITICAL_BELOW_S else SEVERITY_WARNING
+        if min(crossed) <= AGAIN_BELOW_S:
+            self._again = [r for r in self._again if r.words]  # of the alarm before: this one says more
+            self._again += [Repeat(severity, "", min(crossed), now_s + after_s) for after_s in AGAIN_AFTER_S]
         return [(severity, f"{_minutes(left_s)} left at worst")]
 
     def _loss(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
@@ -190,6 +226,8 @@ class Announcer:
                 continue
             if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
                 made.append((SEVERITY_CRITICAL if words in CRITICAL else SEVERITY_WARNING, short))
+                for after_s in AGAIN_AFTER_S if words in CRITICAL else ():
+                    self._again.append(Repeat(SEVERITY_CRITICAL, words, math.nan, now_s + after_s))
             self._warned_s[words] = now_s
         return made
 

@@ -103,13 +103,16 @@ class Sender:
         self._look_s = now_s + ANNOUNCE_PERIOD_S
         is_airborne = reader.navigation.is_aloft(reader.now_s) is True
         made: list[tuple[int, str]] = []
+        again: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            made += announcer.texts(now_s, report, reader.armed, is_airborne, report is reports[0])
-        self.said.extend((now_s, text) for _, text in made)
-        return made
+            is_first = report is reports[0]
+            made += announcer.texts(now_s, report, reader.armed, is_airborne, is_first)
+            again += announcer.repeats(now_s, report, is_first)
+        self.said.extend((now_s, text) for _, text in made)  # the page loses none
+        return made + again
 
     def _to_gcs(self, frame: bytes, now_s: float) -> None:
         if isinstance(self._link, ProxyClient):
