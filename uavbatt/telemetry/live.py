@@ -201,7 +201,7 @@ class LiveReader:
             found.append(f"system {self.awaited.system} fell silent in the air: followed again when it speaks")
         for number, words in vehicle.senders.conflicts(self._now_s):
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
-        found += vehicle.voltages.notes
+        found += vehicle.notes
         for name, value in self.doubted.items():
             change = f"{name} changed in flight from {self.parameters[name]:g} to {value:g}"
             found.append(f"{change}: counts when it is heard again")
