@@ -65,6 +65,7 @@ BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "nan": ("f.csv", (HEAD + ROWS + "30,nan,12\n").encode(), ("row 31 (line 32)", "voltage_V", "a number")),
     "text": ("f.csv", (HEAD + ROWS + "30,15.7,many\n").encode(), ("row 31 (line 32)", "current_A", "`many`")),
     "backwards": ("f.csv", (HEAD + ROWS + "7,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 7")),
+    "no time": ("f.csv", (HEAD + ROWS + "1e300,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 1e+300")),
     "header alone": ("f.csv", HEAD.encode(), ("battery messages",)),
     "semicolons": ("f.csv", b"time_s;voltage_V\n0;16\n", ("semicolons",)),
 }

@@ -71,6 +71,21 @@ def test_a_damaged_row_is_left_out_and_the_file_healed(damage: str, flown: Path)
     assert "damaged" not in fleet(flown).stderr
 
 
+def test_logs_that_cannot_be_read_are_counted_with_their_reason(tmp_path: Path) -> None:
+    """One that gives an error of its disk, and one of a size that no log has: a crew must not take them for flown."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/a.csv").write_text(ROWS)
+    (tmp_path / "logs/b.csv").symlink_to("/proc/self/mem")
+    with (tmp_path / "logs/c.BIN").open("wb") as file:
+        file.truncate(5 << 30)
+    done = fleet(tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "3 logs (3 done now): 1 flown, 2 could not be" in done.stdout
+    assert "found a file of more than 4 GiB" in done.stdout and "Input/output error" in done.stdout
+    assert sorted(row["status"] for row in table(tmp_path)) == ["bad", "lost", "ok"]
+    assert "(1 done now): 1 flown, 2 could not be" in fleet(tmp_path).stdout  # the disk may be better by now
+
+
 def test_the_log_of_a_damaged_row_is_flown_again(flown: Path) -> None:
     journal = flown / "out/flights.jsonl"
     whole = journal.read_text()

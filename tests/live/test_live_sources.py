@@ -76,6 +76,20 @@ def test_a_second_battery_must_be_heard_twice(times: int, rows: int) -> None:
     assert known.keys() == {0}
 
 
+def test_messages_without_a_voltage_are_told_from_none_at_all() -> None:
+    """A battery monitor that is not set up, or not connected: the page said "no battery telemetry yet" alone."""
+    bench = Bench()
+    for _ in range(10):
+        bench.send(heartbeat(True))
+        bench.send(battery_status(Sample(0.0, 0.0, 0.0), 0))
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    assert bench.daemon.board.reports == ()
+    assert "battery messages come without a voltage" in " ".join(bench.daemon.board.notes)
+    fly(bench, 5.0, "0")
+    assert bench.daemon.board.notes == () and bench.daemon.board.reports[0].rows == 25
+
+
 def gentle(bench: Bench, seconds: int, *disarmed_s: int) -> None:
     """A hover of 1.2 C, a row and a heartbeat each second; some heartbeats say that it is disarmed."""
     for k in range(seconds):

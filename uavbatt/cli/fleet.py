@@ -90,11 +90,13 @@ def fleet(
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find_logs
+    from uavbatt.fleet.processes import check_workers
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import check_word
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
+    check_workers(workers)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     check_join(instance, join)
     check_word(load)
@@ -112,7 +114,7 @@ def fleet(
     found = find_logs(logs, exclude or ())
 
     def crew() -> AbstractContextManager[Workers[Any]]:
-        return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+        return run.connected(min(workers or len(os.sched_getaffinity(0)), len(found)), scheduler)
 
     met, told = _health_before_each(packs, crew, found, job, output) if packs is not None else ([], "")
     flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")

@@ -16,6 +16,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from uavbatt.errors import BadInput, UsageError
+from uavbatt.telemetry.read import MOST_BYTES
 
 SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv", ".zip")
 JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # files of a fleet's output folder, which are no logs
@@ -36,7 +37,9 @@ class LogFile:
     changed: str
 
     def read(self) -> bytes:
-        """Return the bytes. Raises Unreadable when they cannot be read."""
+        """Return the bytes. Raises Unreadable when they cannot be read, BadInput for more than any log has."""
+        if self.size > MOST_BYTES:
+            raise BadInput(self.name, "", f"a log, found a file of more than {MOST_BYTES >> 30} GiB")
         try:
             return _read_bytes(self.name) if "://" in self.name else Path(self.name).read_bytes()
         except Exception as error:  # a remote file system raises whatever its library raises

@@ -24,12 +24,13 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Generic, NamedTuple
 
-from uavbatt.errors import UavbattError
+from uavbatt.errors import UavbattError, UsageError
 from uavbatt.fleet.errand import Errand, Row
 
 TRIES = 2
 LOOK_PERIOD_S = 1.0
 MEMORY_IN_USE = 0.9  # of the machine's memory, by all workers together
+LEAST_BYTES = 150e6  # that a worker takes with a small log
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -138,6 +139,13 @@ class Processes(Generic[Row]):
             return None
         row: Row = task.errand.lost(task.errand.log, f"{reason} (exit code {code})")
         return task.number, row
+
+
+def check_workers(count: int | None) -> None:
+    """Raise UsageError for so many workers that the machine has not the memory to start them."""
+    most = max(1, int(MEMORY_IN_USE * machine_bytes() / LEAST_BYTES))
+    if count is not None and count > most:
+        raise UsageError(f"--workers {count}: expected at most {most}, for each takes {LEAST_BYTES / 1e6:.0f} MB")
 
 
 def machine_bytes() -> float:

@@ -23,7 +23,7 @@ from uavbatt.fleet.journal import Journal
 from uavbatt.fleet.lesson import Lesson, lesson_of
 from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
 from uavbatt.fleet.processes import Processes
-from uavbatt.fleet.row import FlightRow, row_of
+from uavbatt.fleet.row import LOST, FlightRow, row_of
 
 _UNDER_WAY_PER_WORKER = 3
 
@@ -98,9 +98,9 @@ def learn_all(
 
 
 def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
-    """Yield (number of the log, its lesson) of a finished first pass."""
+    """Yield (number of the log, its lesson) of a finished first pass, without logs that could not be read."""
     with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
-        yield from done.rows()
+        yield from ((number, found) for number, found in done.rows() if found.status != LOST)
 
 
 def run_fleet(

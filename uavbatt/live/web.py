@@ -17,6 +17,7 @@ import json
 import math
 import os
 import re
+import secrets
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable
@@ -31,6 +32,7 @@ from uavbatt.live.report import NOTHING_YET, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
+START = secrets.token_hex(8)  # another in every process: `clock_s` may have begun anew with it
 SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
@@ -65,6 +67,7 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
         ],
         "counts": dict(board.counts),
         "clock_s": round(now_s, 2),
+        "start": START,
         "version": __version__,
     }
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
 from uavbatt.mavlink.pipe import LARGEST_READ, Pipe, watched
-from uavbatt.mavlink.resolver import Resolver
+from uavbatt.mavlink.resolver import Resolver, address_of, family_of
 from uavbatt.mavlink.tcp_server import TcpServer
 
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
@@ -67,18 +67,20 @@ class UdpLink:
     is_stream, problem = False, ""
 
     def __init__(self, at: Endpoint) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         self._peers: dict[tuple[str, int], Peer] = {}
         self._fixed = at.kind == "udpout"
         try:
-            self._address = (socket.gethostbyname(at.host), at.port)
+            self._address = (address_of(at.host), at.port)
+            self._socket = socket.socket(family_of(self._address[0]), socket.SOCK_DGRAM)
+        except OSError as error:
+            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+        self._socket.setblocking(False)
+        try:
             if not self._fixed:
                 self._socket.bind(self._address)
-        except (OSError, UnicodeError) as error:
+        except OSError as error:
             self._socket.close()
-            said = error.strerror if isinstance(error, OSError) and error.strerror else error
-            raise UsageError(f"endpoint `{at.text}`: {said}") from None
+            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
 
     def filenos(self) -> Iterator[int]:
         """Yield the one socket."""
@@ -197,7 +199,7 @@ class StreamLink:
             if address is None:
                 return None
             self._address = address
-            self._connecting = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._connecting = socket.socket(family_of(address), socket.SOCK_STREAM)
             self._connecting.setblocking(False)
             self._deadline_s = now_s + 5.0
         code = self._connecting.connect_ex((self._address, self._at.port))

@@ -42,6 +42,7 @@ ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not
 LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 CONFIRMED_WITHIN_S = 60.0
 BEATING_S = 3.0
+WITHOUT_VOLTAGE = 5  # battery messages, before it is said
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
 MOST_TRANSFER_WORDS = 6000
@@ -95,6 +96,7 @@ class Vehicle:
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
         self.hardware = ""  # serial number of the autopilot
         self.packs: dict[int, fields.PackIdentity] = {}  # identity of each pack, as it says itself
+        self._without_voltage = 0  # battery messages without a voltage
         self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
@@ -124,6 +126,13 @@ class Vehicle:
     def is_beating(self) -> bool:
         """Return True if a heartbeat came shortly before the last frame, so that the armed bit is up to date."""
         return self.now_s - self._beat_s <= BEATING_S
+
+    @property
+    def notes(self) -> list[str]:
+        """Return notes for the operator about the voltages of the batteries."""
+        if self.speaks or self._without_voltage < WITHOUT_VOLTAGE:
+            return [*self.voltages.notes]
+        return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
         """Return the sender of a frame from an address: two may share one address (`streams`)."""
@@ -280,6 +289,7 @@ class Vehicle:
             cell_voltages_V=battery.cell_voltages_V,
         )
         if not self._log.add(battery.id, sample):
+            self._without_voltage += not math.isfinite(battery.voltage_V)
             return None
         kept = self._log.rows[battery.id]
         del kept[:-1]

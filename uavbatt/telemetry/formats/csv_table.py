@@ -21,6 +21,7 @@ from datetime import UTC, datetime
 from uavbatt.errors import BadInput
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_VOLTAGE_V, LogBuilder
+from uavbatt.telemetry.cleaning import LATEST_S
 from uavbatt.telemetry.formats.csv_units import check_units
 from uavbatt.telemetry.formats.px4_unknown import px4_value
 
@@ -148,6 +149,8 @@ def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> 
     time_s, voltage_V = number("time_s", needed=True), number("voltage_V", needed=True)
     if time_s < before_s:
         raise BadInput(source, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")
+    if not abs(time_s) < LATEST_S:
+        raise BadInput(source, f"{place}, column time_s", f"seconds, found {time_s:g}")
     if voltage_V > MAX_VOLTAGE_V:
         raise BadInput(source, f"{place}, column voltage_V", f"volts, found {voltage_V:g} (millivolts?)")
     soc, consumed_Ah = number("reported_soc"), number("consumed_Ah")
