@@ -56,7 +56,7 @@ class Resting(NamedTuple):
 
 
 class FirstVoltages(NamedTuple):
-    """Seen holds pack voltages [V] to compare statements with: of the first rows, and at rest; NaN until seen."""
+    """FirstVoltages holds the pack voltages [V] of the first rows and at rest, by which statements are judged."""
 
     first_V: float = math.nan
     rested_V: float = math.nan

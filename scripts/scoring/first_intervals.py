@@ -52,7 +52,7 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class FirstBelief:
-    """First holds a flight's early intervals [log time, s], and where it ended: an instant, or the last interval."""
+    """FirstBelief holds a flight's early intervals [log time, s] and its end: an instant, or the last interval."""
 
     of: str
     name: str

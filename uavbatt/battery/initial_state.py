@@ -76,7 +76,7 @@ def joint(
 
 
 class _Hypothesis(NamedTuple):
-    """_Read holds one hypothesis of the charge after the reading."""
+    """_Hypothesis holds one possible charge after the reading."""
 
     likelihood: float
     mean: Array

@@ -111,7 +111,7 @@ def size_of_pack(
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; voltages : the voltages [V]
+    guessed_cells, guessed_from : the count that fits the voltage, and its source in words; voltages : those [V] that
     the statements are compared with; rested_V : voltage of the pack before its first load [V], if it is to show the
     kind of the cells (`high_voltage`). Raises UsageError when nobody states the capacity.
     """

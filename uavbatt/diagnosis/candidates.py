@@ -38,7 +38,7 @@ COURSES: tuple[Course, ...] = get_args(Course)
 
 @dataclass(frozen=True, slots=True)
 class FreeQuantity:
-    """Freed is a quantity that a refit frees: QUANTITIES[index] = start + `scale` times u, within its bounds."""
+    """FreeQuantity is a quantity that a refit frees: QUANTITIES[index] = start + `scale` times u, within its bounds."""
 
     index: int
     start: float

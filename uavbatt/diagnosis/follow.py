@@ -110,7 +110,7 @@ def follow(
 
 
 class _CourseFit(NamedTuple):
-    """_Tried holds the refit of one effect on one course."""
+    """_CourseFit holds the refit of one effect on one course."""
 
     option: Candidate
     course: Course

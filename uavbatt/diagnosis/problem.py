@@ -57,9 +57,7 @@ class Problem:
     evidence: Evidence
     base: Array
     nuisances: tuple[FreeQuantity, ...]
-    stated: tuple[
-        FreeQuantity, ...
-    ]  # the same, but no larger than the file states: errors that may explain a residual away
+    stated: tuple[FreeQuantity, ...]  # the same, but no larger than the file states
     tables: TableErrors | None = None
     states: openloop.States = openloop.states  # simulates the records; the command hands in the compiled function
 

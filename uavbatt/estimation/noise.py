@@ -68,7 +68,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class FirstBelief(NamedTuple):
-    """First holds the first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """FirstBelief holds a cell's state at the start, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array

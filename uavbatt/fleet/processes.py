@@ -122,7 +122,7 @@ class Processes(Generic[Row]):
         try:
             row: Row | None = worker.line.recv()
         except (EOFError, OSError):
-            return self._replace_worker(worker, "the worker died on it, of too little memory perhaps")
+            return self._replace_worker(worker, "the worker ended while it read this log, perhaps for lack of memory")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 

@@ -40,7 +40,7 @@ def plain_pack(ledger: Ledger, name: str) -> dict[str, Any]:
 
 
 class ImportedPack(NamedTuple):
-    """A CarriedPack holds a pack that was read from its file and checked."""
+    """An ImportedPack holds a pack that was read from its file and checked."""
 
     name: str
     flights: tuple[FlightRecord, ...]

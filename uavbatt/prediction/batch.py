@@ -39,8 +39,8 @@ class Question(NamedTuple):
     by_rows: bool
     unresolved_s: float = 0.0  # length of a step within which the power may change
     at_take_off: AtTakeOff | None = None  # the expectation at take-off
-    route: RouteQuestion | None = None  # what else the forecast says, of the route and of the way home
-    ways: WaysState = WaysState()  # when they were asked last: if before `time_s`, it counts down
+    route: RouteQuestion | None = None  # the part about the route and the way home
+    ways: WaysState = WaysState()  # when that part was worked out last
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]

@@ -265,7 +265,7 @@ class Forecaster:
         power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # that was the spool-up
+        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # before it was spool-up
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)

@@ -47,7 +47,7 @@ class Lateness(NamedTuple):
 
     boot_s: float = math.nan  # of the last frame
     base: ClockOffset | None = None
-    recent: tuple[ClockOffset, ...] = ()  # of LOOK_S, but for those that a later one has undercut
+    recent: tuple[ClockOffset, ...] = ()  # those of LOOK_S that no later one is smaller than
 
     def after(self, at_s: float, boot_s: float) -> Lateness:
         """Return the new value after a frame that was received at `at_s` [s] and sent `boot_s` [s] after the boot."""

@@ -103,7 +103,7 @@ class DataflashClock(NamedTuple):
 
 
 class _TimedTable(NamedTuple):
-    """_Timed is a table with the time of each record [s]."""
+    """_TimedTable is a table with the time of each record [s]."""
 
     table: Table
     time_s: Column
