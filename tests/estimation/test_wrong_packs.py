@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scoring import wrong_cases, wrong_judged
-from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, MAKES, SOC, FlightSoFar, Make
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, MAKES, SOC, Flown, Make
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
@@ -40,7 +40,7 @@ def case(battery: str, ah: float) -> Case:
 
 
 @cache
-def run(battery: str, ah: float) -> tuple[FlightSoFar, list[ReplayedRow]]:
+def run(battery: str, ah: float) -> tuple[Flown, list[ReplayedRow]]:
     """A flight, and what is said of it."""
     return wrong_judged.replayed(case(battery, ah))
 
