@@ -2,8 +2,8 @@
 
     python examples/add_an_effect.py logs/quad_4s.tlog NEW.battery.toml harness_resistance harness_ohm=0.015
 
-The names and units stand in docs/nomenclature.md. `uavbatt diagnose` finds effect and value from flights; by hand one
-sees what a number means. The new file is sealed by whoever writes it and says that it is not certified.
+docs/nomenclature.md has the names and units. `uavbatt diagnose` finds an effect and its value from flights; here you
+choose them yourself and see what they change. The new battery file says that it is not certified.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from uavbatt.battery.sections import BatteryFile, EffectEntry
 
 
 def with_effect(file: BatteryFile, name: str, parameters: dict[str, float]) -> BatteryFile:
-    """The file with one more effect, or another size of one that it has; values in, values out."""
+    """Return the file with one more effect, or with another size of one that it has."""
     others = [entry for entry in file.effects if entry.name != name]
     certificate = msgspec.structs.replace(file.certificate, status="generic", verdicts=[], validated_ambient_C=[])
     effects = [*others, EffectEntry(name=name, parameters=parameters)]
@@ -30,7 +30,7 @@ def main(log: str, new: str, name: str, *values: str) -> None:
     parameters = {key: float(value) for key, _, value in (text.partition("=") for text in values)}
     before = battery_file.read_battery("lipo-generic")
     battery_file.write_battery(with_effect(before, name, parameters), Path(new))
-    after = battery_file.read_battery(new)  # refuses an unknown name, and a value outside its bounds
+    after = battery_file.read_battery(new)  # raises BadInput for an unknown name or a value outside its bounds
 
     for words, file in (("without", before), (f"with {name}", after)):
         flown = uavbatt.replay(log, file, forecast_period_s=30.0)

@@ -2,8 +2,8 @@
 
     python examples/live_udp.py udpin:127.0.0.1:14551 [ROWS]
 
-`uavbatt live` does more: stale links, pack changes, parameters of the vehicle, recording, feeds. This is the least that
-works: BATTERY_STATUS in, one line out.
+This is the shortest program that works: it reads BATTERY_STATUS and prints one line. `uavbatt live` also handles stale
+links, pack changes, parameters of the vehicle, recording and feeds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ UNKNOWN_mV, UNKNOWN_cA, UNKNOWN_cdegC = 65535, -1, 32767  # what MAVLink sends f
 
 
 def sample_of(message: object, now_s: float) -> uavbatt.Sample:
-    """One row of the battery: wire units and sentinels end here."""
+    """Return one row of the battery in SI units; values that stand for "unknown" become NaN."""
     cells_mV = [v for v in message.voltages if v not in (0, UNKNOWN_mV)]  # type: ignore[attr-defined]
     current_cA, temp_cdegC = message.current_battery, message.temperature  # type: ignore[attr-defined]
     return uavbatt.Sample(

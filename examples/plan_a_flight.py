@@ -18,7 +18,7 @@ UAVBATT = Path(sys.executable).with_name("uavbatt")
 
 def main(minutes: str, power_W: str, ambient_C: str) -> int:
     asked = [str(UAVBATT), "plan", *PACK, "--power-w", power_W, "--ambient-c", ambient_C, "--json", "-"]
-    done = subprocess.run(asked, stdout=subprocess.PIPE, text=True)  # what it says to a person goes to stderr
+    done = subprocess.run(asked, stdout=subprocess.PIPE, text=True)  # messages for people go to stderr
     if done.returncode != 0:
         return done.returncode
     planned = json.loads(done.stdout)["planned"]

@@ -89,7 +89,7 @@ def plan_row(repeats: int) -> engine.Row:
 
 
 def _with_and_without(name: str, arguments: list[str], repeats: int) -> Iterator[engine.Row]:
-    """A command without numba, and with it, its code compiled before."""
+    """Yield the times of a command without numba and with it (its code compiled before)."""
     plain = median(engine.run_cli(arguments, plain=True) for _ in range(repeats))
     if not engine.HAS_TWIN:
         yield name, f"{plain:.2f} s", "", ""

@@ -1,4 +1,4 @@
-"""How large and how fast a pack ledger is: opening it, one look-up, and the list of all packs.
+"""Size and speed of a pack ledger: opening it, one look-up, and the list of all packs.
 
     python scripts/bench_packs.py [--packs 10000] [--flights 300]
 

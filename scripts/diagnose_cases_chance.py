@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What chance gives: the constants of the diagnosis that decide, held against records in which nothing is wrong.
+"""The deciding constants of the diagnosis, compared with records in which nothing is wrong: what chance gives.
 
 Run: .venv/bin/python scripts/diagnose_cases_chance.py BATTERY.battery.toml
 Effect-free are r0, p1, b3, k01 and k02, and the flights of cases whose sensor is known to be wrong and by how much: the

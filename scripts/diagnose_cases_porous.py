@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What diagnosis makes of labelled cases, verdicts and values only: the quick table, for any folder of cases.
+"""The quick table of labelled cases in any folder: verdicts and values only.
 
 Run: .venv/bin/python scripts/diagnose_cases_porous.py BATTERY.battery.toml FOLDER... [--only odd|even|NAME,NAME]
 FOLDER holds CASE/flight_K.csv or .tlog and labels.json: what `scripts/porous_cases.py` wrote, or `truth/cases` of the

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What can be known of small effects: labelled cases of one size against healthy sets of as many flights.
+"""Small effects: labelled cases of one size, compared with healthy sets of as many flights.
 
 Run: .venv/bin/python scripts/diagnose_cases_small.py BATTERY.battery.toml HEALTHY FOLDER... [--size quarter]
 HEALTHY holds healthy flights, FOLDER labelled cases, both of `scripts/porous_cases.py`. Each case: what its effect
@@ -55,7 +55,7 @@ def singles(tried: Trial) -> list[Single]:
 
 
 def told(found: list[Single], share: float, level: float) -> list[str]:
-    """Return the names of the rivals by chi-square, nothing below the level."""
+    """Return the names of the rivals by chi-square, none below the level."""
     most = max(s.value(share) for s in found)
     return [s.name for s in found if most > level and s.value(share) > max(0.5 * level, RIVAL_SHARE * most)]
 

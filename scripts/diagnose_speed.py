@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How long a diagnosis of four flights takes, with and without compiled code, and where the time goes.
+"""Time of a diagnosis of four flights, with and without compiled code, and its parts.
 
 Run: .venv/bin/python scripts/diagnose_speed.py BATTERY.battery.toml [FOLDER] [--profile]
 FOLDER holds four flights (default: truth/practice/p3 of the shared data). The battery file is what

@@ -1,4 +1,4 @@
-"""How many of the first intervals after take-off miss the end of their flight.
+"""Count of the first intervals after take-off that miss the end of their flight.
 
     python scripts/first_minute.py [--part tuned|kept|all] [--only generic|fitted] [--each]
 

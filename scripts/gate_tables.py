@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The README's figures of the gate: both data sets through `validate`, their claims and the loop over temperature.
+"""The figures of the gate in docs/validation.md: both data sets through `validate`, claims and loop over temperature.
 
 Run: .venv/bin/python scripts/gate_tables.py    (the second set needs the shared data: UAVBATT_DATA or ../shared/data)
 """

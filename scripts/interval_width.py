@@ -1,4 +1,4 @@
-"""What makes the interval of the time as wide as it is, on packs of a model that is not ours.
+"""Sources of the width of the interval, on packs of a model that is not ours.
 
     python scripts/interval_width.py [--battery fitted|generic] [--each N]
 

@@ -193,7 +193,7 @@ def drawn(seed: int) -> list[Case]:
 
 
 def _drawn(names: tuple[str, ...], size: str, random: np.random.Generator) -> Case:
-    """One or two effects, each of 0.8 to 1.2 of its size."""
+    """Return one or two effects, each of 0.8 to 1.2 of its size."""
     cell, sensors = Cell(), Sensors()
     for name in names:
         quantity, neutral, clear = CLEAR[name]
@@ -305,7 +305,7 @@ def _late(core_C: Array, tau_s: float) -> Array:
 
 
 def _other(name: str, time_s: Array, volts: Array, amps: Array, temps: Array) -> tuple[Array, Array]:
-    """Voltage and current as sensors with a fault of no name show them."""
+    """Return voltage and current as sensors show them whose fault has no name."""
     flying_s = np.maximum(time_s - IDLE_S, 0.0)
     if name == "converter_drift":
         return volts * (1.0 + 0.0015 * (temps - 25.0)), amps

@@ -3,7 +3,7 @@
     python scripts/score.py [--only m100|truth|flights|routes] [--markdown FILE]
 
 Reads the measured data ($UAVBATT_DATA, else ../shared/data beside the checkout). Tables go to stdout, progress to
-stderr; --markdown also writes them for the README.
+stderr; --markdown also writes them for docs/scores.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a further lag would do for the model of the battery: error on records that the fit has not seen.
+"""A further lag in the model of the battery: its error on records that the fit has not seen.
 
 Run: .venv/bin/python scripts/second_lag.py [--only truth|m100|turnigy|enertech]
 Three models are fitted to part of the data and run open loop on the rest: the model as it is (a polarisation and a slow

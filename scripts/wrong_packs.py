@@ -1,10 +1,10 @@
-"""Packs that are not what is stated, of a model that is not ours: what is said of them, and how late.
+"""Packs of another model that differ from what is stated: the forecasts and warnings, and how late they come.
 
     python scripts/wrong_packs.py [--only estimator|live] [--quick] [--markdown FILE] [--flight NAME]
 
 Flies small, worn, part-charged and mis-stated packs through the estimator, with the generic battery and with one fitted
 to healthy packs of the make, and the faults of sensors, swaps and statements through the companion process. Reports,
-does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for the README.
+does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for docs/wrong_packs.md.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
 
 
 def _each(work: Callable[[Given], Made], given: list[Given], say: Callable[[str], None], name: str) -> Iterator[Made]:
-    """All of it, on two cores, in the order given."""
+    """Return the results of all cases, worked out on two cores, in the order given."""
     with get_context("spawn").Pool(WORKERS) as pool:
         for number, made in enumerate(pool.imap(work, given, chunksize=1), 1):
             if number % 10 == 0 or number == len(given):
@@ -77,7 +77,7 @@ def _each(work: Callable[[Given], Made], given: list[Given], say: Callable[[str]
 
 
 def _one(name: str) -> int:
-    """The lines of one flight through the estimator, by its name in the tables."""
+    """Return the lines of one flight through the estimator, by its name in the tables."""
     from scoring import wrong_cases, wrong_judged
 
     cases = {case.name: case for case in wrong_cases.every(EACH)}

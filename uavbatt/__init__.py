@@ -60,5 +60,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names alone: what a prompt completes."""
+    """Return the public names alone, which a prompt completes."""
     return sorted(__all__)

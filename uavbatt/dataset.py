@@ -1,4 +1,4 @@
-"""The discharge data-set folder <-> values.
+"""The discharge data-set folder: how it is read into values, and a template of it.
 
 A data set is a folder with `battery.toml` (what was tested) and `discharge.csv` (what was read), columns
 `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c`; an empty cell means not measured. `flags.toml`
@@ -210,7 +210,7 @@ def _decode(file: Traversable, shown: str, kind: type[_T]) -> _T:
 
 
 def _explain(message: str, kind: type[Any]) -> tuple[str, str]:
-    """msgspec's words -> (the key, what was expected)."""
+    """Return the key and what was expected of it, from a message of msgspec."""
     text, _, where = message.partition(" - at `$")
     section = where.strip("`.")
     key = text.split("`")[1] if text.count("`") >= 2 else ""
@@ -226,7 +226,7 @@ def _explain(message: str, kind: type[Any]) -> tuple[str, str]:
 
 
 def _digest(battery: _Battery, runs: tuple[Run, ...]) -> str:
-    """SHA-256 of the canonical content: free of line ends, column order, comments and number formats."""
+    """Return the SHA-256 of the content; line ends, order of columns, comments and number formats do not change it."""
 
     def plain(values: Array) -> list[float | None]:
         return [None if math.isnan(v) else float(v) for v in values]

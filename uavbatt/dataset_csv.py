@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "surface_c")
 MIN_POINTS = 3
 CELL_RANGE_V = (0.5, 5.0)
-LEAST_HIGHEST_CELL_V = 2.2  # every cell that flies shows more at some time, and half of a full LiPo cell is less
+LEAST_HIGHEST_CELL_V = 2.2  # every flying cell shows more at some time; half a full LiPo cell is less
 TEMP_RANGE_C = (-80.0, 150.0)
 
 
@@ -53,7 +53,7 @@ def read_runs(text: str, shown: str, cells_series: int) -> tuple[Run, ...]:
     """Read the runs in the text of `discharge.csv`; raises BadInput, in which `shown` names the file."""
     try:
         return _runs(_rows(text, shown), cells_series, shown)
-    except csv.Error as error:  # a cell without an end
+    except csv.Error as error:  # a quoted cell is not closed
         raise BadInput(shown, "", f"a table, cannot be read: {error}") from None
 
 

@@ -18,7 +18,7 @@ class UavbattError(Exception):
 
 
 class BadInput(UavbattError):
-    """A file, or a place in it, is not what was expected."""
+    """BadInput says that a file, or a place in it, is not what was expected."""
 
     def __init__(self, file: str | Path, place: str, expected: str) -> None:
         where = f"{file}: {place}" if place else f"{file}"
@@ -38,17 +38,17 @@ def misread(file: str | Path, error: Exception, kind: str) -> BadInput:
 
 
 class Uncertified(UavbattError):
-    """A battery file's hash is broken, a verdict in it is `fail`, or its status is `edited`."""
+    """Uncertified says that a battery file's hash is broken, a verdict in it is `fail`, or its status is `edited`."""
 
 
 class UsageError(UavbattError):
-    """The call itself cannot be carried out as it was written."""
+    """UsageError says that a call cannot be carried out as it was written."""
 
     exit_code = 2
 
 
 class CapacityNotStated(UsageError):
-    """Neither the caller nor the vehicle nor the battery file states the capacity of the pack."""
+    """CapacityNotStated says that neither caller nor vehicle nor battery file states the capacity of the pack."""
 
 
 def check_path(argument: str, value: object, expected: str = "the path of a file") -> None:
@@ -58,7 +58,7 @@ def check_path(argument: str, value: object, expected: str = "the path of a file
 
 
 class MissingExtra(UavbattError):
-    """An optional dependency is absent; the message carries the pip line that adds it."""
+    """MissingExtra says that an optional dependency is missing, with the pip line that adds it."""
 
     exit_code = 3
 
@@ -67,7 +67,7 @@ class MissingExtra(UavbattError):
 
 
 class NotEnoughData(UavbattError):
-    """The data are sound but too few for the question that was asked."""
+    """NotEnoughData says that the data are sound, but too few for the question."""
 
     exit_code = 4
 

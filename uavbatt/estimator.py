@@ -40,7 +40,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
-from uavbatt.limits import HIGHEST_C_RATE, Names
+from uavbatt.limits import Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
@@ -121,7 +121,7 @@ class Estimator:
         """Make an estimator for a packaged battery by name or a battery file by path (`battery_file.read_battery`).
 
         cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
-        Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
+        Raises UsageError for an impossible number, BadInput or Uncertified for a file that cannot be used.
         """
         options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, names=Names())
         file = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
@@ -152,7 +152,7 @@ class Estimator:
         if now is None or now is before:
             return
         if now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
-            self.remembered = None  # its flights were read by the curve of ordinary cells
+            self.remembered = None  # its flights were read with the curve of ordinary cells
         if before is not None and now.cell_kind != before.cell_kind:
             self._state = None
         elif self._state is not None:
@@ -199,8 +199,8 @@ class Estimator:
     ) -> Iterator[tuple[Estimate, Remaining]]:
         """Take samples in, with the facts as they are; yields the estimate and the remaining time after each.
 
-        navigation_at : navigation as it was known at a time [s]. Raises as `step`. The estimator stands some rows
-        ahead of what was yielded until the generator has come to its end, which it must before the next `run`.
+        navigation_at : navigation as it was known at a time [s]. Raises as `step`. The estimator is some rows ahead of
+        what was yielded until the generator ends: let it end before the next `run`.
         """
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):
@@ -238,18 +238,18 @@ class Estimator:
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
         cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
-        # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
+        # Without a current sensor a typical power is assumed.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
-        most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
+        capacity_Ah = size.capacity_Ah if size is not None else math.inf
         cleaners, clean = [], []
         for sample in samples:
-            cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
+            cleaner, sample = cleaner.clean(sample, assumed_W, capacity_Ah)
             cleaners.append(cleaner)
             clean.append(sample)
         return cleaners, clean
 
     def _refused_start(self, sample: Sample) -> Estimate | None:
-        """The refused estimate of a row at which no filter may begin; None where one may."""
+        """Return the refused estimate of a row at which no filter may begin; None if one may."""
         if not math.isfinite(sample.voltage_V):
             return unknown(sample, NO_VOLTAGE)
         if self._known.refusal:  # these voltages cannot be those of the pack that is stated

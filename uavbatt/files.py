@@ -23,7 +23,7 @@ import numpy as np
 from uavbatt.errors import BadInput, printable
 
 STDOUT = "-"
-_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # of what JSON does not escape by itself
+_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # characters that JSON does not escape by itself
 
 
 @overload
@@ -62,10 +62,27 @@ def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
         aside.unlink(missing_ok=True)
 
 
+def no_file(path: Path) -> str:
+    """Return "a directory" or "a device or a pipe" for a path that names one; empty otherwise."""
+    if not path.exists() or path.is_file():
+        return ""
+    return "a directory" if path.is_dir() else "a device or a pipe"
+
+
 def read_bounded(path: Path, most_bytes: int, expected: str) -> bytes:
-    """Read a whole file; raises BadInput, with what was `expected`, for one of more than `most_bytes`."""
-    with path.open("rb") as stream:
-        content = stream.read(most_bytes + 1)
+    """Read a whole file. Raises BadInput, with what was `expected`, for a file that cannot be read.
+
+    most_bytes : a larger file is refused. A device or a pipe is refused before it is opened: it may have no end, or
+    nobody who writes to it.
+    """
+    try:
+        if str(path) != os.devnull and (found := no_file(path)):
+            raise BadInput(path, "", f"{expected}, found {found}")
+        with path.open("rb") as stream:
+            content = stream.read(most_bytes + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise BadInput(path, "", f"{expected}, cannot be read: {reason}") from None
     if len(content) > most_bytes:
         raise BadInput(path, "", f"{expected} of at most {most_bytes // 1_000_000} MB")
     return content

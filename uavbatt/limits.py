@@ -16,54 +16,54 @@ from uavbatt.errors import UsageError
 from uavbatt.notice import Kind, Notice
 
 MOST_CELLS = 100
-LOWEST_CELL_V, HIGHEST_CELL_V = 2.5, 4.45  # of any chemistry that flies, before the load
+LOWEST_CELL_V, HIGHEST_CELL_V = 2.5, 4.45  # before the load, for every chemistry that flies
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
-RESTING_SLACK_V = 0.2  # so far below its own type's empty voltage no cell rests that will fly again
-ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # of a cut-off or a low-voltage warning
+RESTING_SLACK_V = 0.2  # a cell that rests so far below its type's empty voltage is damaged
+ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # for a cut-off or a low-voltage warning
 CAPACITY_AH = (0.05, 500.0)
 AMBIENT_C = (-40.0, 60.0)
-# How packs are flown and settings made, where a count of cells must be guessed from the first voltage.
-CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # of a full pack, by which it falls with each C of load
-LEAST_CHARGED_CELL_V = 3.65  # at rest: nobody takes off with less than about a tenth
+# How crews charge packs and set cut-offs. A count of cells is guessed from the first voltage by these numbers.
+CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # full cell, its sd, its fall for each C of load
+LEAST_CHARGED_CELL_V = 3.65  # at rest: crews do not take off with less than a tenth of the charge
 HIGH_CHARGED, HIGH_CHARGED_CELL_V, HIGH_CHARGED_SD_V = 0.05, 4.33, 0.03  # cells that charge to 4.35 V, so many of all
-PART_CHARGED, UNUSUALLY_CHARGED = 0.02, 0.005  # as likely, anywhere between empty and full, as beside that
+PART_CHARGED, UNUSUALLY_CHARGED = 0.02, 0.005  # likelihoods of a start in part, and outside that range
 COMMON_CELLS, RARE = {1: 1.0, 2: 1.0, 3: 1.0, 4: 1.0, 5: 0.3, 6: 1.0, 8: 1.0, 10: 0.3, 12: 1.0, 14: 0.3}, 0.02
 STATED_ENDING_CELL_V, STATED_ENDING_SD_V, UNUSUALLY_STATED = 3.5, 0.12, 0.02
 LESS_LIKELY = 12.0
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
-HIGHEST_C_RATE = 200.0  # of any row: a pack that gives it is empty in 18 s
-# No pack that rested nearly empty gives so much of its charge, nor does one of twice the capacity that is stated.
+HIGHEST_C_RATE = 200.0  # in any row: at this rate a pack is empty in 18 s
+# A pack that rested nearly empty cannot give this share of the stated capacity, even if it has twice that capacity.
 EMPTY_OVERDRAWN = 0.3
 LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds
 KELVIN = (230.0, 360.0)  # a cell's temperature in the wrong unit
-POWER_FACTOR = 2.0  # beyond it another aircraft flew
+POWER_FACTOR = 2.0  # beyond this factor it is another aircraft
 
 
 class Doubt(NamedTuple):
-    """A doubt says in words what speaks against a statement, and if that is certain."""
+    """A Doubt says in words what speaks against a statement, and if that is certain."""
 
     words: Notice
     is_certain: bool
 
 
 class Resting(NamedTuple):
-    """A rested cell of the battery file's type shows these voltages when it is empty and when little is left [V]."""
+    """Resting holds the voltages [V] of a rested cell of the battery file's type, empty and with little charge left."""
 
     empty_V: float = EMPTIEST_CELL_V
     low_V: float = 3.5
 
 
 class FirstVoltages(NamedTuple):
-    """Statements are held against these pack voltages [V]: of the first rows, and of them at rest; NaN until seen."""
+    """FirstVoltages holds the pack voltages [V] of the first rows and at rest, by which statements are judged."""
 
     first_V: float = math.nan
     rested_V: float = math.nan
 
 
 class Names(NamedTuple):
-    """A caller knows the checked arguments by these names."""
+    """Names holds the names by which the caller knows the checked arguments."""
 
     cells: str = "cells="
     capacity: str = "capacity_Ah="
@@ -226,7 +226,7 @@ def _whole(name: str, value: object) -> int:
 
 
 def _number(name: str, value: object) -> float:
-    if isinstance(value, SupportsFloat):  # a text is none, whatever it says
+    if isinstance(value, SupportsFloat):  # a text is no number, even if it looks like one
         with suppress(TypeError, ValueError):  # an array of several
             return float(value)
     raise UsageError(f"{name}{value!r}: expected a number, or NaN where it is not known")

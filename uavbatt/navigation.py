@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 NAN = math.nan
-FRESH_S = 5.0  # an older place says nothing of now
-ALOFT_M, ALOFT_MS = 5.0, 5.0  # nobody carries or drives an armed aircraft about like this
+FRESH_S = 5.0  # an older position is not used
+ALOFT_M, ALOFT_MS = 5.0, 5.0  # so high or so fast an armed aircraft is in the air
 
 
 class Mode(StrEnum):
@@ -77,12 +77,12 @@ class MissionItem:
     hold_s: float = 0.0
     turns: float = 0.0
     radius_m: float = 0.0
-    speed_ms: float = NAN  # of SPEED; NaN: the vehicle's own again
+    speed_ms: float = NAN  # for SPEED; NaN: the vehicle's own speed again
     speed_kind: SpeedKind = SpeedKind.GROUND
     jump_to: int = -1
-    repeats: int = 0  # of a jump; -1 is without end
+    repeats: int = 0  # for a jump; -1 is without end
     command: int = 0  # MAV_CMD, for words
-    reason: str = ""  # of UNKNOWN
+    reason: str = ""  # why it is UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class Navigation:
     mission: Mission | None = None
     mission_since_s: float = NAN
     current: int | None = None  # seq of the item that is flown to (MISSION_CURRENT)
-    current_since_s: float = NAN  # since when it is that one
+    current_since_s: float = NAN  # time since which it is this item
     current_heard_s: float = NAN  # last time that the autopilot said so: silence makes progress stale
     reached: int | None = None  # last MISSION_ITEM_REACHED
     home: Home | None = None
@@ -165,7 +165,7 @@ class Navigation:
     position: Position | None = None
     wind: Wind | None = None
     landed: bool | None = None  # EXTENDED_SYS_STATE
-    transferring: bool = False  # a mission is passing and is not whole yet
+    transferring: bool = False  # a mission is being transferred and is not complete yet
 
     @property
     def has_way(self) -> bool:

@@ -74,7 +74,7 @@ class Notice(str):
         made.kind = kind
         return made
 
-    def __getnewargs__(self) -> tuple[str, Kind]:  # type: ignore[override]  # str has one argument less
+    def __getnewargs__(self) -> tuple[str, Kind]:  # type: ignore[override]  # str has one argument fewer
         """Return the arguments from which a copy is made in another process."""
         return str(self), self.kind
 

@@ -92,7 +92,7 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
 
 
 def _route(route: Route) -> Line:
-    """The keys of `ROUTE_COLUMNS`, in that order."""
+    """Return the values of `ROUTE_COLUMNS`, in that order."""
     fields = {key: key.removeprefix("route_") for key in ROUTE_COLUMNS}
     return {
         key: getattr(route, fields[key]) if digits is None else rounded(getattr(route, fields[key]), digits)

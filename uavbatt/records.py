@@ -94,8 +94,8 @@ class Identity:
     hardware: str = ""  # serial of the flight controller
     firmware: str = ""
     battery_serial: str = ""
-    battery_cycles: int | None = None  # by the pack's own counter
-    start_utc_s: float = NAN  # of the first record, seconds since 1970
+    battery_cycles: int | None = None  # counted by the pack itself
+    start_utc_s: float = NAN  # time of the first record [s since 1970]
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,13 +109,13 @@ def _safe(text: str) -> str:
 
 
 def _chosen(count: int) -> list[int]:
-    """At most MOST_POINTS of the points, evenly, with the first and the last."""
+    """Return at most MOST_POINTS of the points, evenly chosen, with the first and the last."""
     if count <= MOST_POINTS:
         return list(range(count))
     return sorted({round(k * (count - 1) / (MOST_POINTS - 1)) for k in range(MOST_POINTS)})
 
 
 def _known_runs(points: Iterable[tuple[Point, ...]]) -> list[list[tuple[Point, ...]]]:
-    """Runs of neighbours in which every number is known."""
+    """Return the runs of neighbours in which every number is known."""
     runs = groupby(points, key=lambda of_one: all(math.isfinite(value) for point in of_one for value in point))
     return [list(run) for is_known, run in runs if is_known]

@@ -115,7 +115,7 @@ def measured(logs: Path, workers: int) -> Measured:
 
 
 def _others_s() -> float:
-    """Processor time [s] that all cores have spent on anything but this process and its children; NaN without /proc."""
+    """Return the processor time [s] of all cores without this process and its children; NaN without /proc."""
     if not Path("/proc/stat").exists():
         return float("nan")
     ticks = [int(n) for n in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]

@@ -94,7 +94,7 @@ def make_tlog(path: Path, seed: int = 7, rows: int = BATTERY_ROWS, per_row: int 
 
 
 def _battery(row: int) -> tuple[float, float, float]:
-    """Volts, amperes and mAh used of one row."""
+    """Return volts, amperes and used mAh of one row."""
     share = row / BATTERY_ROWS
     return 16.6 - 3.2 * share - 0.1 * (row % 7) / 7, 12.0 + (row % 50) / 10, 4800.0 * share
 
@@ -122,7 +122,7 @@ def _battery_frame(row: int) -> bytes:
 
 
 def _pool(seed: int) -> list[bytes]:
-    """Whole frames of 34 other types, 29 variants each, in an order that mixes them; heartbeats of an autopilot."""
+    """Return whole frames of 34 other types, 29 variants each, mixed; heartbeats of an autopilot."""
     from pymavlink.dialects.v20 import ardupilotmega as dialect
 
     random = np.random.default_rng(seed)

@@ -125,7 +125,7 @@ def new_processes_s(codes: Sequence[str], repeats: int) -> list[float]:
 
 
 def _timed(work: Callable[[], Any]) -> float:
-    """Processor time [s] of this process and of those that it waited for; nobody pays for the last one's rubbish."""
+    """Return the processor time [s] of this process and of its ended children; garbage is collected before."""
     gc.collect()
     before_s = _spent_s()
     work()

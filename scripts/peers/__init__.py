@@ -1,4 +1,4 @@
-"""What open autopilots say of the time left, re-implemented from their equations for a comparison.
+"""The time left by open autopilots, re-implemented from their equations for a comparison.
 
 Every peer is a module with `predict(samples, capacity_Ah, cells, ...) -> remaining_s`: one number per sample,
 seconds, NaN where the peer shows nothing. Each sees only what lies at or before the sample. **Rated** is

@@ -45,7 +45,10 @@ LEAST_CURRENT_A = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """PX4 has BATn_V_EMPTY, BATn_V_CHARGED [V a cell], BATn_R_INTERNAL [ohm a cell, < 0: RLS], BAT_AVRG_CURRENT [A]."""
+    """Parameters holds PX4's BATn_V_EMPTY, BATn_V_CHARGED, BATn_R_INTERNAL and BAT_AVRG_CURRENT.
+
+    v_empty_V, v_charged_V : of a cell [V]; r_internal : of a cell [ohm]; below 0 it is estimated (RLS)
+    """
 
     v_empty_V: float = 3.6
     v_charged_V: float = 4.05
@@ -140,7 +143,7 @@ class Battery:
             self.cell_V = voltage_V / self.cells + R_CELL_START * current_A
 
     def _voltage_soc(self, step_s: float, voltage_V: float, current_A: float) -> float:
-        """SoC_v of the sag-compensated, filtered cell voltage."""
+        """Return SoC_v of the sag-compensated, filtered cell voltage."""
         if self.rls is None:
             self.rls = Rls.reset(4.2 * self.cells, self.cells)
         rest_V = voltage_V / self.cells

@@ -52,7 +52,7 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class FirstBelief:
-    """First holds a flight's early intervals [log time, s], and where it ended: an instant, or the last interval."""
+    """FirstBelief holds a flight's early intervals [log time, s] and its end: an instant, or the last interval."""
 
     of: str
     name: str
@@ -134,7 +134,7 @@ def _first(flown: Set, path: Path) -> FirstBelief | None:
 
 
 def _end_s(flight: Flight, cutoff_V: float) -> float:
-    """When the log itself reaches the cut-off under load [s]; NaN if it does not."""
+    """Return the time at which the log reaches the cut-off under load [s]; NaN if it does not."""
     columns = ([s.time_s for s in flight.samples], [s.voltage_V for s in flight.samples])
     amps = [s.current_A for s in flight.samples]
     return end_of_flight(*columns, amps, cutoff_V=cutoff_V, min_current_A=LOADED_A)

@@ -212,7 +212,7 @@ def parameter(name: str, value: float, is_px4: bool = False) -> Any:
 
 
 def _turns(begin_s: float, end_s: float) -> Iterator[float]:
-    """Instants between two rows, every TURN_S, seldom in the middle of a long silence."""
+    """Return instants between two rows, every TURN_S, seldom in the middle of a long silence."""
     at_s = begin_s + TURN_S
     while at_s < end_s - 1e-6:
         yield at_s
@@ -221,7 +221,7 @@ def _turns(begin_s: float, end_s: float) -> Iterator[float]:
 
 
 def _bound() -> tuple[socket.socket, tuple[str, int]]:
-    """A UDP socket of this machine with a port of its own."""
+    """Return a UDP socket of this machine with a port of its own."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind(("127.0.0.1", 0))
     line.setblocking(False)

@@ -127,7 +127,7 @@ def _at(results: list[Result], label: str) -> list[Instant]:
 
 
 def _own(results: list[Result], label: str) -> tuple[float, int]:
-    """Mean width [s] and flights inside."""
+    """Return mean width [s] and flights inside."""
     at = _at(results, label)
     return float(np.mean([i.width_s for i in at])), sum(bool(i.inside) for i in at)
 
@@ -141,7 +141,7 @@ def _mean(widths_s: list[float]) -> str:
 
 
 def _each(ours: list[Result], rival: list[Result]) -> list[str]:
-    """The rival with its own best p at each instant."""
+    """Return the rival with its own best p at each instant."""
     cells, widths_s = [], []
     for label in JUDGED:
         hits, at = _own(ours, label)[1], _at(rival, label)
@@ -154,7 +154,7 @@ def _each(ours: list[Result], rival: list[Result]) -> list[str]:
 
 
 def _one(ours: list[Result], rival: list[Result]) -> list[str]:
-    """The rival with one p for all instants."""
+    """Return the rival with one p for all instants."""
     hits = sum(_own(ours, label)[1] for label in JUDGED)
     every = [i for label in JUDGED for i in _at(rival, label)]
     percent, _ = percentage_interval([i.truth_s for i in every], [i.forecast_s for i in every], hits)

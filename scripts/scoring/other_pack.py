@@ -138,7 +138,7 @@ class Power:
             yield self.level_W * factor * math.exp(self.gust * gust)
 
     def _phase(self, dice: np.random.Generator, before: float) -> tuple[float, float]:
-        """The next phase's power against level flight, and how long it lasts [s]."""
+        """Return the next phase's power against level flight, and how long it lasts [s]."""
         if before != 1.0:
             return 1.0, float(dice.uniform(40.0, 120.0))
         is_climb = dice.random() < 0.5
@@ -206,7 +206,7 @@ def drawn(
     armed: bool = True,
     cutoff_V: float = CUTOFF_V,
 ) -> Flown:
-    """Draw one power after the other from the pack; armed it ends with the flight: a mean of 5 s below the cut-off."""
+    """Draw one power after the other from the pack; armed, stop once a mean of 5 s is below the cut-off."""
     rows, soc, volts, currents = [], [], [], []
     for k, power_W in enumerate(powers_W):
         temp_C = pack.temp_C

@@ -1,4 +1,4 @@
-"""Packs flown again and again: what the ledger makes of it, flight by flight, beside the truth."""
+"""Packs that are flown again and again: the ledger's values, flight by flight, beside the truth."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _answer(folder: Path, pack: str, number: int) -> Answer:
 
 
 def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackHealth | None) -> Forecast:
-    """The flight under its own true load, so that the battery alone is tested."""
+    """Return the forecast of the flight under its own true load, which tests the battery alone."""
     settings = ForecastSettings(LoggedLoad(answer.time_s, answer.power_W), forecast_period_s=PERIOD_S)
     estimator = Estimator(battery, PackOptions(), settings, remembered=known)
     lines = ours(list(steps(flight, estimator)))

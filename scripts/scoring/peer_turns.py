@@ -1,4 +1,4 @@
-"""When the peers say to turn back, row by row: their rules for the way home on what they say of the time left."""
+"""Time of the peers' turn-back, row by row: their rules for the way home, applied to their time left."""
 
 from __future__ import annotations
 

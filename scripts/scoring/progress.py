@@ -1,4 +1,4 @@
-"""What a long score is at, on stderr."""
+"""Progress of a long score, on stderr."""
 
 from __future__ import annotations
 

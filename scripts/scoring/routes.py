@@ -82,7 +82,7 @@ def _run(flight: Flight, known: Known, load: Load) -> list[ReplayedRow]:
 def _scored(
     flight: Flight, known: Known, span_s: tuple[float, float], run: list[ReplayedRow]
 ) -> dict[str, FlightScore]:
-    """The flight with its route (already run), without it, and with its own later load."""
+    """Return the scores of the flight with its route (already run), without it, and with its own later load."""
     without = replace(flight, navigation=())
     runs = {
         ROUTE: run,
@@ -122,7 +122,7 @@ def _m100_span_s(flight: Flight) -> tuple[float, float]:
 
 
 def _span_s(flight: Flight, cutoff_V: float, loaded_A: float) -> tuple[float, float]:
-    """The first row under load and the end of flight [s]."""
+    """Return the times of the first row under load and of the end of flight [s]."""
     rows = flight.samples
     columns = ([s.time_s for s in rows], [s.voltage_V for s in rows], [s.current_A for s in rows])
     end_s = end_of_flight(*columns, cutoff_V=cutoff_V, min_current_A=loaded_A)
@@ -157,7 +157,7 @@ def _answer(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _errors(title: str, found: dict[str, list[FlightScore]]) -> list[Table]:
-    """Error, bias, interval and dangerous optimism of each method."""
+    """Return error, bias, interval and dangerous optimism of each method."""
     rows = []
     for method, scores in found.items():
         by_label = {row.label: row for row in pool(scores).rows}
@@ -178,7 +178,7 @@ def _in_force(mission: Mission, time_s: float) -> Route | None:
 
 
 def _turn_backs(missions: list[Mission]) -> Table:
-    """Error of the turn-back at instants before the true one, and when "turn back now" is said first."""
+    """Return errors of the turn-back at instants before the true one, and the time of the first "turn back now"."""
     head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "turn back now")
     there = [m for m in missions if m.answer["turn_back_s"] is not None]
     found = [_turn_back(mission) for mission in there]
@@ -223,7 +223,7 @@ def _peer_turn_back(mission: Mission, peer: str) -> TurnBackErrors:
 
 
 def _turn_back_means(found: list[TurnBackErrors]) -> list[str]:
-    """Mean absolute errors over flights, and how often the alarm came early."""
+    """Return mean absolute errors over flights, and how often the alarm came early."""
     columns = zip(*(one.errors_s for one in found), strict=True)
     means = [
         float(np.mean([abs(e) if math.isfinite(e) else before_s for e in column]))
@@ -235,7 +235,7 @@ def _turn_back_means(found: list[TurnBackErrors]) -> list[str]:
 
 
 def _alarm_s(mission: Mission) -> float:
-    """When 'turn back now' is said first; never is the end of the flight."""
+    """Return the time of the first 'turn back now'; the end of the flight if there is none."""
     said = (s.remaining for s in mission.run if s.remaining.route is not None)
     return next(
         (r.time_s for r in said if r.route is not None and r.route.must_turn_back_now),
@@ -244,7 +244,7 @@ def _alarm_s(mission: Mission) -> float:
 
 
 def _touchdowns(missions: list[Mission]) -> Table:
-    """Error of the charge at touchdown along the missions that land."""
+    """Return errors of the charge at touchdown along the missions that land."""
     rows: list[tuple[str, list[str]]] = []
     errors: list[list[float]] = [[] for _ in OF_MISSION]
     for mission in (m for m in missions if m.answer["landed_s"] is not None):

@@ -1,4 +1,4 @@
-"""Every shared flight with the packaged generic battery: what a user gets who knows a capacity and a cell count."""
+"""Every shared flight with the packaged generic battery, as for a user who knows capacity and cell count only."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _options(path: Path) -> PackOptions:
 
 
 def _name(path: Path) -> str:
-    """The file's name, with its set's where the name alone says nothing."""
+    """Return the file's name, with the name of its set if the file's alone is not enough."""
     return f"{path.parent.name}/{path.name}" if path.name.startswith("flight_") else path.name
 
 
@@ -79,7 +79,7 @@ def _run(path: Path, battery: BatteryFile) -> tuple[list[ReplayedRow], Outcome]:
 
 
 def _row(path: Path, battery: BatteryFile) -> tuple[tuple[str, ...], tuple[float, float]]:
-    """The cells of one flight, and its errors [s] at half time and two minutes before."""
+    """Return the cells of one flight, and its errors [s] at half time and two minutes before the end."""
     _, found = _run(path, battery)
     at = {c.label: c for c in found.checkpoints}
     cells, errors = [], []
@@ -96,7 +96,7 @@ def _row(path: Path, battery: BatteryFile) -> tuple[tuple[str, ...], tuple[float
 
 
 def _emptied(path: Path, battery: BatteryFile) -> Table:
-    """The pack flown empty, at every instant."""
+    """Return the table of the pack that was flown empty, at every instant."""
     run, found = _run(path, battery)
     start_s = next(s.remaining.time_s for s in run if math.isfinite(s.remaining.remaining_s))
     score = ours(run).scored(path.name, "", start_s, found.end_of_flight_s)

@@ -1,4 +1,4 @@
-"""Tables as they are printed: aligned text for a terminal, Markdown for the README."""
+"""Tables as they are printed: aligned text for a terminal, Markdown for the docs."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def _cells(judged: Judged) -> tuple[str, ...]:
 
 
 def _mean_cells(every: list[Judged]) -> tuple[str, ...]:
-    """Mean absolute errors over flights, and the worst soc RMSE."""
+    """Return mean absolute errors over flights, and the worst soc RMSE."""
     return (
         figure(float(np.mean([abs(j.half_s) for j in every]))),
         f"{np.mean([abs(j.half_share) for j in every]):.1%}",

@@ -1,4 +1,4 @@
-"""What makes the interval of the time as wide as it is: one doubt after the other replaced by the truth.
+"""Sources of the width of the interval: one doubt after the other is replaced by the truth.
 
 The belief of a flight is taken some minutes before its end, and its 128 draws fly on: as they are, under the power that
 was flown, and with the true charge, the true capacity or both put into each of them.
@@ -79,7 +79,7 @@ def _sds(draws: FloatArray, truth: float) -> float:
 
 
 def _variants(q: Question, logged: LoggedLoad, soc: float, log_capacity: float) -> Iterator[tuple[str, FloatArray]]:
-    """The ends of the draws [s], less and less of them in doubt."""
+    """Return the ends of the draws [s], with one doubt less in each variant."""
     yield "as it is", _ends(q)
     now = FlightPoint(
         q.time_s, since_take_off_s=0.0, soc=soc, flight_W=0.0, recent=RecentLoad()

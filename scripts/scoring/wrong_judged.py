@@ -109,13 +109,13 @@ def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
 
 
 def _said(columns: FloatArray, at_s: float, end_s: float) -> Said:
-    """The last row at or before an instant."""
+    """Return the last row at or before an instant."""
     time_s, median_s, lo_s, hi_s = (float(c) for c in columns[:, np.searchsorted(columns[0], at_s + 1e-6) - 1])
     return Said(end_s - time_s, median_s, lo_s, hi_s)
 
 
 def _charge(run: Sequence[ReplayedRow], flown: Flown, since_s: float) -> tuple[float, float]:
-    """NEES and root mean square error of the state of charge."""
+    """Return NEES and root mean square error of the state of charge."""
     known = [(s.estimate.soc, s.estimate.soc_sd, s.estimate.time_s) for s in run]
     soc, sd, time_s = (np.array(c) for c in zip(*known, strict=True))
     apart = soc - np.array(flown.soc)

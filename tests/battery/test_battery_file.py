@@ -265,9 +265,9 @@ def test_no_battery_file(data: bytes, tmp_path: Path) -> None:
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="a battery file that exists"):
+    with pytest.raises(BadInput, match="found no file of this name"):
         battery_file.read_battery(tmp_path / "none.battery.toml")
-    with pytest.raises(BadInput, match="not a directory"):
+    with pytest.raises(BadInput, match="found a directory"):
         battery_file.read_battery(tmp_path)
     with pytest.raises(BadInput, match="lipo-generic, lpab-3s"):
         battery_file.read_battery("lipo-genric")

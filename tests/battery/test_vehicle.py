@@ -187,8 +187,8 @@ def test_what_is_no_toml_is_named_in_one_line(raw: bytes, tmp_path: Path) -> Non
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    assert_refused(tmp_path / "none.vehicle.toml", "exists")
-    assert_refused(tmp_path, "exists")
+    assert_refused(tmp_path / "none.vehicle.toml", "found no file of this name")
+    assert_refused(tmp_path, "a directory")
 
 
 def assert_refused(path: Path, words: str) -> None:

@@ -65,6 +65,7 @@ BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "nan": ("f.csv", (HEAD + ROWS + "30,nan,12\n").encode(), ("row 31 (line 32)", "voltage_V", "a number")),
     "text": ("f.csv", (HEAD + ROWS + "30,15.7,many\n").encode(), ("row 31 (line 32)", "current_A", "`many`")),
     "backwards": ("f.csv", (HEAD + ROWS + "7,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 7")),
+    "no time": ("f.csv", (HEAD + ROWS + "1e300,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 1e+300")),
     "header alone": ("f.csv", HEAD.encode(), ("battery messages",)),
     "semicolons": ("f.csv", b"time_s;voltage_V\n0;16\n", ("semicolons",)),
 }
@@ -75,7 +76,7 @@ SLIPS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
     (("--load", "nonsense"), 2, ("--load nonsense", "recent", "watts")),
     (("--load", "-5"), 2, ("--load -5", "positive")),
     (("--battery", "lipo-genric"), 1, ("lipo-genric", "lipo-generic")),
-    (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "exists")),
+    (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "found no file")),
     (("--instance", "7"), 2, ("no battery instance 7", "0")),
     (("--cutoff-voltage", "-3"), 2, ("--cutoff-voltage", "positive")),
     (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),

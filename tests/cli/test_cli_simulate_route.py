@@ -36,7 +36,7 @@ def test_a_flight_along_a_route_and_home(tmp_path: Path) -> None:
         (("--mission", "none.plan"), "No such file", 1),
         (("--mission", "route.waypoints", "--wind", "4"), "expected SPEED@FROM_DEG", 2),
         (("--mission", "route.waypoints", "--wind", "nan@0"), "expected SPEED@FROM_DEG", 2),
-        (("--wind", "4@0"), "expected with --mission", 2),
+        (("--wind", "4@0"), "expected --mission FILE as well", 2),
         (("--mission", "endless.waypoints"), "waits somewhere without end", 2),
         (("--mission", "nowhere.waypoints"), "the place of home", 2),
     ],

@@ -95,7 +95,7 @@ def test_end_to_end_with_bad_logs_and_again(logs: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     first = call(logs, "-o", output, "--workers", "2")
     assert first.returncode == 0, first.stderr
-    assert "4 logs (4 done now): 2 flown, 2 could not be" in first.stdout
+    assert "4 logs (4 done now): 2 replayed, 2 failed" in first.stdout
     rows = {Path(row["file"]).name: row for row in both_tables(output)}
     assert {name: row["status"] for name, row in rows.items()} == {
         "1.tlog": "ok", "2.tlog": "ok", "broken.tlog": "bad", "empty.BIN": "bad",
@@ -113,7 +113,7 @@ def test_end_to_end_with_bad_logs_and_again(logs: Path, tmp_path: Path) -> None:
     (logs / "swift/empty.BIN").write_bytes((logs / "swift/2.tlog").read_bytes())
     words = (f"{logs}/**/*.tlog", logs / "swift/empty.BIN", "-o", output, "--workers", "1")
     again = called("fleet", *words, folder=tmp_path)  # without another process to be started
-    assert "4 logs (1 done now): 3 flown, 1 could not be" in again.stdout
+    assert "4 logs (1 done now): 3 replayed, 1 failed" in again.stdout
     assert len(both_tables(output)) == 4
 
 
@@ -214,8 +214,8 @@ def test_the_journal_survives_a_crash(tmp_path: Path) -> None:
         second.add(3, "k3", FlightRow(file="d"))
     with journal.Journal(tmp_path / JOURNAL, keys, row_of) as third:
         rows = [row for _, row in third.rows()]
-    assert [row.file for row in rows] == ["b", "c", "d"]
-    assert rows[0].inside_60 is True and rows[1].end_soc == 0.25 and math.isnan(rows[2].end_soc)
+    assert [row.file for row in rows] == ["a", "b", "c", "d"]  # what was not read is told as well
+    assert rows[1].inside_60 is True and rows[2].end_soc == 0.25 and math.isnan(rows[3].end_soc)
 
 
 def test_keys_tell_what_changed() -> None:

@@ -65,10 +65,25 @@ def test_a_damaged_row_is_left_out_and_the_file_healed(damage: str, flown: Path)
     whole = journal.read_text()
     journal.write_bytes(whole.encode() + (DAMAGE[damage](whole) + "\n").encode("latin-1"))
     done = fleet(flown)
-    assert done.returncode == 0 and "1 log (0 done now): 1 flown" in done.stdout
+    assert done.returncode == 0 and "1 log (0 done now): 1 replayed" in done.stdout
     assert f"{Path('out/flights.jsonl')}: damaged rows left out: 1" in done.stderr
     assert journal.read_text() == whole and len(table(flown)) == 1
     assert "damaged" not in fleet(flown).stderr
+
+
+def test_logs_that_cannot_be_read_are_counted_with_their_reason(tmp_path: Path) -> None:
+    """One that gives an error of its disk, and one of a size that no log has: a crew must not take them for flown."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/a.csv").write_text(ROWS)
+    (tmp_path / "logs/b.csv").symlink_to("/proc/self/mem")
+    with (tmp_path / "logs/c.BIN").open("wb") as file:
+        file.truncate(5 << 30)
+    done = fleet(tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "3 logs (3 done now): 1 flown, 2 could not be" in done.stdout
+    assert "found a file of more than 4 GiB" in done.stdout and "Input/output error" in done.stdout
+    assert sorted(row["status"] for row in table(tmp_path)) == ["bad", "lost", "ok"]
+    assert "(1 done now): 1 flown, 2 could not be" in fleet(tmp_path).stdout  # the disk may be better by now
 
 
 def test_the_log_of_a_damaged_row_is_flown_again(flown: Path) -> None:
@@ -76,7 +91,7 @@ def test_the_log_of_a_damaged_row_is_flown_again(flown: Path) -> None:
     whole = journal.read_text()
     journal.write_text(without(whole, "file") + "\n")
     done = fleet(flown)
-    assert done.returncode == 0 and "1 log (1 done now): 1 flown" in done.stdout
+    assert done.returncode == 0 and "1 log (1 done now): 1 replayed" in done.stdout
     assert journal.read_text() == whole
 
 
@@ -121,7 +136,7 @@ def test_a_file_name_that_is_no_text_ends_no_run(tmp_path: Path) -> None:
     except OSError:
         pytest.skip("this file system takes no such name")
     done = fleet(tmp_path)
-    assert done.returncode == 0 and "1 flown" in done.stdout
+    assert done.returncode == 0 and "1 replayed" in done.stdout
     assert "(0 done now)" in fleet(tmp_path).stdout
     assert table(tmp_path)[0]["file"].endswith("a?.csv")
 
@@ -137,7 +152,7 @@ def test_packed_logs_are_flown_as_they_are(tmp_path: Path) -> None:
             for one in inside:
                 archive.writestr(one, ROWS)
     done = fleet(tmp_path)
-    assert "5 logs (5 done now): 3 flown" in done.stdout
+    assert "5 logs (5 done now): 3 replayed" in done.stdout
     found = {Path(row["file"]).name: row for row in table(tmp_path)}
     for name in ("b.csv.gz", "d.zip"):
         assert {k: v for k, v in found[name].items() if k not in ("file", "size_bytes")} == {

@@ -109,6 +109,7 @@ def test_the_command_resumes_and_flies_again_what_is_asked_otherwise(tmp_path: P
         (("--join", "around"), "--join around: expected parallel or series"),
         (("--join", "series", "--instance", "1"), "expected one of the two"),
         (("--vehicle", "no.vehicle.toml"), "no.vehicle.toml"),
+        (("--workers", "100000"), "--workers 100000: expected at most"),
     ],
 )
 def test_wrong_options_are_named_before_anything_is_flown(tmp_path: Path, words: tuple[str, ...], said: str) -> None:

@@ -181,5 +181,5 @@ def test_damage_is_among_what_a_person_should_look_at(tmp_path: Path) -> None:
         write_tlog(tmp_path / f"logs/{day}.tlog", flown, parameters, epoch_us=FIRST_US + day * DAY_US)
     fleet(tmp_path, "out")
     rows = table(tmp_path, "out")
-    assert "more ohms at once: damaged?" in rows["3.tlog"]["look"]
+    assert "more resistance at once: damaged?" in rows["3.tlog"]["look"]
     assert not any("pack 9" in rows[f"{day}.tlog"]["look"] for day in range(3))

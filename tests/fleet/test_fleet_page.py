@@ -134,4 +134,4 @@ def test_at_most_one_flight_in_five_is_to_be_looked_at_the_gravest_first() -> No
 
 def test_a_fleet_of_failures_does_not_look_calm() -> None:
     page = fleet_report(gathered([FlightRow(file="a.BIN", status="bad", reason="no log")] * 3), "x (generic)")
-    assert "None of 3 logs could be flown" in page and 'class="answer bad"' in page and "0 need a look" not in page
+    assert "None of 3 logs could be replayed" in page and 'class="answer bad"' in page and "0 need a look" not in page

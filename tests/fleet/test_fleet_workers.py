@@ -12,8 +12,10 @@ import threading
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
+from command import called
 from factories import generic_pack
 from live_rig import PATIENCE_S, until
 
@@ -21,6 +23,7 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.fleet import run
 from uavbatt.fleet.errand import Errand
 from uavbatt.fleet.fly import Job, fly_log, lost_row
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
@@ -132,7 +135,7 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
     killer.join(PATIENCE_S)
     os.close(held)
     assert (rows[1].status, rows[2].status) == (LOST, "ok")
-    assert "the worker died on it" in rows[1].reason
+    assert "the worker ended while it read this log" in rows[1].reason
 
 
 def test_a_worker_that_takes_too_much_memory_is_ended(waiting: LogFile) -> None:
@@ -140,3 +143,17 @@ def test_a_worker_that_takes_too_much_memory_is_ended(waiting: LogFile) -> None:
         crew.send(7, errand(waiting))
         number, row = crew.finished()
     assert (number, row.status) == (7, LOST) and "more than 1 MB of memory" in row.reason
+
+
+def test_no_more_workers_are_started_than_there_are_logs(log: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    """Each has its share of the memory: of many shares none is enough."""
+    sizes: list[int] = []
+    connected = run.connected
+
+    def counted(size: int, scheduler: str | None) -> Any:
+        sizes.append(size)
+        return connected(size, scheduler)
+
+    monkeypatch.setattr(run, "connected", counted)
+    done = called("fleet", str(log), "-o", "out", "--workers", "16", "--capacity-ah", "5", folder=tmp_path)
+    assert (done.returncode, sizes) == (0, [1]), done.stderr

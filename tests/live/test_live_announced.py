@@ -188,7 +188,33 @@ def test_without_a_current_the_voltage_says_that_the_end_is_near() -> None:
         bench.send(battery_status(Sample(0.0, volts, NAN, 25.0, NAN, armed=True), 0))
         bench.daemon.turn()
         bench.now_s += 0.2
-    assert texts(bench) == ["Battery 0: time unknown, no current reading", "Battery 0: voltage nears its cut-off: land"]
+    land = "Battery 0: voltage nears its cut-off: land"
+    assert texts(bench) == ["Battery 0: time unknown, no current reading", land, land, land]
+    assert [text for _, text in bench.daemon.board.said].count(land) == 1  # the page loses none
+
+
+def heard(announcer: Announcer, left_s: list[float], *, is_first: bool = True) -> list[tuple[int, str]]:
+    """What the ground station is sent and when [s], of the time left in each second."""
+    found = []
+    for k, left in enumerate(left_s):
+        now = report(left, at_s=float(k))
+        said = announcer.texts(float(k), now, True, speaks_first=is_first)
+        found += [(k, text) for _, text in said + announcer.repeats(float(k), now, is_first)]
+    return found
+
+
+def test_an_alarm_is_sent_three_times_with_the_time_as_it_is_then() -> None:
+    """A radio loses some texts; of five minutes there is time to hear the next one."""
+    said = heard(Announcer(0, (300.0, 120.0)), [310.0 - k for k in range(230)])
+    left = [(10, "5:00"), (190, "2:00"), (195, "1:55"), (205, "1:45")]
+    assert said == [(k, f"Battery 0: {words} min left at worst") for k, words in left]
+
+
+def test_an_alarm_that_holds_no_more_is_not_sent_again() -> None:
+    assert len(heard(Announcer(0, (120.0,)), [121.0, 119.0, *[400.0] * 30])) == 1
+    assert len(heard(Announcer(0, (120.0,)), [121.0, 119.0, *[NAN] * 30])) == 2  # and the loss
+    closer = heard(Announcer(0, (120.0, 60.0)), [119.0, 119.0, *[59.0] * 20])  # the next alarm takes its place
+    assert [k for k, _ in closer] == [0, 2, 7, 17]
 
 
 def test_a_text_that_does_not_fit_ends_with_a_whole_word() -> None:

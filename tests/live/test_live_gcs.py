@@ -272,6 +272,31 @@ def test_chromium_shows_every_state_as_it_is(browser: Browser, tmp_path: Path, s
     assert reasons[state] in page
 
 
+EVENT = "events.onmessage({ data: JSON.stringify({ ...last, clock_s: last.clock_s - %s, start: %s }) })"
+
+
+def test_a_page_whose_events_come_late_shows_no_number(browser: Browser) -> None:
+    """Also those after a connection that broke: the network may be as slow as before."""
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    bench.fly(20.0)
+    begun_s, wall_s = bench.now_s, time.monotonic()
+
+    def clock_s() -> float:
+        return begun_s + time.monotonic() - wall_s
+
+    def page(after: str) -> str:
+        return str(browser.evaluate(f"{after}; document.getElementById('batteries').innerText"))
+
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, clock_s)
+    browser.open(f"http://127.0.0.1:{port}/", 390, "light")
+    assert "probably between" in page("events.close()")
+    late = page("events.onopen?.(); " + EVENT % (20, "last.start"))
+    assert "this page comes 20\u202fs late" in late and "probably between" not in late
+    assert "late" not in page(EVENT % (1000, "'of another process'"))
+    browser.ask("Page.navigate", url="about:blank")
+
+
 def test_a_mission_that_mavproxy_loads_passes_the_proxy_and_is_understood(
     ports: tuple[int, int], tmp_path: Path
 ) -> None:

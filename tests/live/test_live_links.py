@@ -24,7 +24,7 @@ from uavbatt.errors import BadInput, UsageError
 from uavbatt.live.config import Config, FeedSection, HttpSection, LinkSection, checked
 from uavbatt.live.daemon import Daemon
 from uavbatt.live.web import serve
-from uavbatt.mavlink.endpoint import parse
+from uavbatt.mavlink.endpoint import Link, parse
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.telemetry import read_log
@@ -94,6 +94,41 @@ def test_every_kind_of_endpoint_brings_rows_and_takes_a_heartbeat(flown: tuple[D
     until(lambda: (daemon.turn(), vehicle.heard)[1])
     assert {m.get_type() for m in vehicle.heard} == {"HEARTBEAT"}
     assert daemon.board.reports[0].estimate.current_A == 12.0
+
+
+def both_ways(one: Link, other: Link) -> tuple[bytes, bytes]:
+    """What two ends hear of each other, the first one to speak first."""
+    at_s, heard, answered = itertools.count(100.0), b"", b""
+
+    def spoken() -> bool:
+        nonlocal heard, answered
+        one.write(b"hello", next(at_s))
+        heard += b"".join(data for data, _ in other.read(next(at_s)))
+        if heard:
+            other.write(b"answer", next(at_s))
+        answered += b"".join(data for data, _ in one.read(next(at_s)))
+        return bool(answered)
+
+    until(spoken)
+    one.close()
+    other.close()
+    return heard[:5], answered[:6]
+
+
+@pytest.mark.parametrize(("calls", "waits"), [("udpout", "udpin"), ("tcp", "tcpin")])
+@pytest.mark.parametrize(("host", "place"), [("[::1]", "[::1]"), ("[::1]", "[::]"), ("127.0.0.1", "[::]")])
+def test_an_address_of_ipv6_stands_in_brackets(calls: str, waits: str, host: str, place: str) -> None:
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("no IPv6 on this machine")
+    port = free_port()
+    waiting = open_link(f"{waits}:{place}:{port}")
+    assert both_ways(open_link(f"{calls}:{host}:{port}"), waiting) == (b"hello", b"answer")
+
+
+@pytest.mark.parametrize("text", ["udpin:::1:14550", "tcp:[::1:14550", "udpin:[127.0.0.1]:14550"])
+def test_an_address_whose_port_is_a_guess_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match=r"expected udpin:HOST:PORT.*stands in brackets"):
+        parse(text)
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("udpin", "udpout"), ("tcpin", "tcp"), ("tcp", "tcpin")])

@@ -69,6 +69,7 @@ def test_on_the_ground_and_for_the_first_time_a_parameter_counts_at_once() -> No
     bench.send(parameter("BATT_LOW_VOLT", 14.0))  # never said before
     assert resolved(bench).low_V == pytest.approx(14.0)
     bench.send(heartbeat(False))
+    bench.send(heartbeat(False))
     bench.send(parameter("BATT_CAPACITY", 4500.0))
     assert resolved(bench).capacity_Ah == 4.5
 

@@ -62,6 +62,56 @@ def test_sys_status_says_nothing_of_a_vehicle_with_two_batteries() -> None:
     assert {report.instance: report.rows for report in bench.daemon.board.reports} == {0: rows[0], 1: rows[1] + 100}
 
 
+@pytest.mark.parametrize(("times", "rows"), [(1, 0), (2, 2), (3, 3)])
+def test_a_second_battery_must_be_heard_twice(times: int, rows: int) -> None:
+    """One BATTERY2 may be damaged: it makes no battery that is stale for the rest of the flight."""
+    bench = Bench()
+    fly(bench, 10.0, "0")
+    for _ in range(times):
+        bench.send(dialect.MAVLink_battery2_message(24000, 300))
+        fly(bench, 1.0, "0", start_Ah=0.03)
+    fly(bench, 6.0, "0", start_Ah=0.04)  # until it is clear that no BATTERY_STATUS speaks for it
+    known = {report.instance: report.rows for report in bench.daemon.board.reports}
+    assert known.pop(1, 0) == rows
+    assert known.keys() == {0}
+
+
+def test_messages_without_a_voltage_are_told_from_none_at_all() -> None:
+    """A battery monitor that is not set up, or not connected: the page said "no battery telemetry yet" alone."""
+    bench = Bench()
+    for _ in range(10):
+        bench.send(heartbeat(True))
+        bench.send(battery_status(Sample(0.0, 0.0, 0.0), 0))
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    assert bench.daemon.board.reports == ()
+    assert "battery messages come without a voltage" in " ".join(bench.daemon.board.notes)
+    fly(bench, 5.0, "0")
+    assert bench.daemon.board.notes == () and bench.daemon.board.reports[0].rows == 25
+
+
+def gentle(bench: Bench, seconds: int, *disarmed_s: int) -> None:
+    """A hover of 1.2 C, a row and a heartbeat each second; some heartbeats say that it is disarmed."""
+    for k in range(seconds):
+        bench.send(heartbeat(k not in disarmed_s))
+        bench.send(battery_status(row(12.0 * k / 3600.0), 0))
+        bench.daemon.turn()
+        bench.now_s += 1.0
+
+
+@pytest.mark.parametrize(("disarmed_s", "flight_s"), [((), 89.0), ((60,), 89.0), ((60, 61), 27.0)])
+def test_one_damaged_heartbeat_begins_no_flight(disarmed_s: tuple[int, ...], flight_s: float, tmp_path: Path) -> None:
+    """A load below 1.5 C on the ground is a payload's: two heartbeats that say "disarmed" end a flight, not one."""
+    record = RecordSection(folder=str(tmp_path), when="always")
+    bench = Bench(PackOptions(cells=4, capacity_Ah=10.0, cutoff_V=13.2), record=record)
+    gentle(bench, 90, *disarmed_s)
+    (report,) = bench.daemon.board.reports
+    assert report.as_line(bench.now_s - 1.0)["flight_s"] == pytest.approx(flight_s)
+    bench.daemon.close()
+    ended_s = 61 if len(disarmed_s) > 1 else None
+    assert [k for k, sample in enumerate(recorded(tmp_path)) if not sample.armed] == ([ended_s] if ended_s else [])
+
+
 def integer(name: str, value: int) -> Any:
     """As PX4 sends it: the bits."""
     (bits,) = struct.unpack("<f", struct.pack("<i", value))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -86,12 +85,3 @@ def test_a_serial_line_that_another_program_reads_is_not_read_by_two(tmp_path: P
     second.read(1.0)
     assert second.problem == ""
     second.close()
-
-
-def test_a_start_that_reads_from_a_pipe_for_ever_is_ended_by_a_signal(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "mission.plan")
-    with running("udpin:127.0.0.1:1", "--mission", str(tmp_path / "mission.plan")) as process:
-        until(lambda: b"live_process" in Path(f"/proc/{process.pid}/cmdline").read_bytes())
-        time.sleep(3.0)  # it has come as far as the mission, or comes there with the signal waiting
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE_S) == -signal.SIGTERM

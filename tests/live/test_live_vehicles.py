@@ -109,7 +109,7 @@ def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
     bench = Bench(PackOptions(), record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), state=state)
     bench.send(capacity(5000))
     fly(bench, 20.0)
-    fly(bench, 1.0, armed=False)
+    fly(bench, 2.0, armed=False)
     bench.now_s += 11.0
     bench.send(heartbeat(True), system=42, sender="other")
     bench.send(capacity(9000), system=42, sender="other")

@@ -147,8 +147,8 @@ def test_ohms_and_ampere_hours_are_those_of_the_scales(record):
 def test_a_pack_that_is_not_the_one_remembered_is_noticed_by_its_ohms():
     health = PackHealth(math.log(type_ohm(PACK)), math.log(5.0), np.diag([0.1**2, 0.05**2]))
     assert unlike(PACK, health, wear=0.05, wear_sd=0.02) == ""
-    assert "50% more ohms than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.02)
-    assert "fewer ohms" in unlike(PACK, health, wear=-0.4, wear_sd=0.02)
+    assert "50% more resistance than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.02)
+    assert "less resistance" in unlike(PACK, health, wear=-0.4, wear_sd=0.02)
     assert "6 remembered of this pack" in unlike(PACK, health._replace(cells=6), wear=0.05, wear_sd=0.02)
 
 
@@ -159,7 +159,7 @@ def test_an_aged_pack_that_is_as_remembered_is_not_called_another(times):
     core = prior_of(PACK, health)
     confirmed = math.expm1(float((core.log_resistance - core.log_scale)[core.weight.argmax()]))
     assert unlike(PACK, health, wear=confirmed, wear_sd=0.05) == ""
-    assert "fewer ohms" in unlike(PACK, health, wear=confirmed / 3.0 - 0.2, wear_sd=0.05)
+    assert "less resistance" in unlike(PACK, health, wear=confirmed / 3.0 - 0.2, wear_sd=0.05)
 
 
 def test_what_is_remembered_as_effects_of_the_battery_file_is_the_same_pack(record):

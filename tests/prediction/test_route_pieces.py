@@ -33,6 +33,10 @@ def speeding_up(found: Pieces, seq: int) -> bool:
     return bool((found.gained_ms[found.seq == seq] > 0.0).any())
 
 
+def most_W(found: Pieces) -> float:
+    return float(RouteLoad(Ahead(Point(0.0, 0.0, 0.0), found), POWERS, 1.0, 0.0).piece_W.max())
+
+
 def test_an_aircraft_speeds_up_after_a_sharp_corner_and_flies_through_a_gentle_one() -> None:
     """The power as it speeds up ends flights: one flight's last minute was 133 s too long without it."""
     found = pieces((0.0, 500.0), (100.0, 1000.0), (600.0, 900.0))
@@ -49,6 +53,20 @@ def test_speeding_up_is_the_first_seconds_of_a_leg_and_ends_nowhere_else() -> No
     share = TURN_S / (TURN_S + level.length_s[first + 1])
     assert level.end[first, 1] == pytest.approx(500.0 * share, abs=1.0)
     assert level.end[first + 1, 1] == pytest.approx(500.0, abs=0.5)
+
+
+def test_a_climb_at_once_is_shorter_and_steeper_and_ends_at_the_same_height() -> None:
+    """Inspections ended 50 s before their forecast: as a leg began, they climbed with 270 W instead of 223 W."""
+    table = path(mission(to(1, 0.0, 100.0, 30.0), to(2, 0.0, 300.0, 50.0)), HOME, FAST).table
+    along, at_once = (LegTiming(climbs_first=first).pieces(table) for first in (False, True))
+    assert at_once.climb_ms[at_once.seq == 2].max() == pytest.approx(2.5)  # SETTINGS.climb_ms
+    assert along.climb_ms[along.seq == 2].max() < 1.0
+    for found in (along, at_once):
+        second = found.seq == 2
+        assert found.climb_ms[second] @ found.length_s[second] == pytest.approx(20.0)
+        assert tuple(found.end[second][-1]) == pytest.approx((0.0, 300.0, 50.0))
+    assert at_once.length_s.sum() == pytest.approx(along.length_s.sum())
+    assert most_W(at_once.of(at_once.seq == 2)) > 1.1 * most_W(along.of(along.seq == 2))
 
 
 def test_it_asks_more_than_a_hover_and_more_than_the_flight_after_it() -> None:
@@ -109,5 +127,5 @@ def test_the_power_beyond_the_learned_airspeeds_is_known_less_and_less() -> None
     """A vehicle learned below 12 m/s that came home at 20 m/s of air was told to turn 72 s too late."""
     within, near, far = (spread_at(v, fastest_ms=12.0) for v in (11.0, 15.0, 20.0))
     assert within == pytest.approx(POWERS.fast_sd, rel=0.02)
-    assert 1.5 * within < near < far / 1.5
+    assert 1.3 * within < near < far / 1.5
     assert spread_at(20.0, fastest_ms=20.0) == spread_at(20.0, fastest_ms=None) == pytest.approx(within)

@@ -107,3 +107,22 @@ def test_a_return_that_ends_in_the_air_has_no_touchdown_in_any_mode(mode: Mode) 
     found = ahead(Progress().after(10.0, now), now, 10.0)
     assert isinstance(found, Ahead)
     assert not found.lands and math.isnan(found.touchdown_s)
+
+
+def climbed(rates_ms: tuple[float, float]) -> Progress:
+    """An aircraft that flies 300 m and 20 m up: at the first rate until it is so high, on a second leg 20 m down."""
+    legs = mission(to(1, 10.0, 0.0, 30.0), to(2, 310.0, 0.0, 50.0), to(3, 610.0, 0.0, 30.0))
+    progress, height_m = Progress(), 30.0
+    for k in range(120):
+        north_m, item = 10.0 + SPEED_MS * k, 2 if k < 60 else 3
+        height_m = min(height_m + rates_ms[0], 50.0) if item == 2 else max(height_m - rates_ms[1], 30.0)
+        known = seen(float(k), north_m, SPEED_MS, mission=legs, current=item, current_since_s=0.0 if k < 60 else 60.0)
+        assert known.position is not None
+        progress = progress.after(float(k), replace(known, position=replace(known.position, height_m=height_m)))
+    return progress
+
+
+def test_an_aircraft_that_climbs_at_once_is_told_from_one_that_climbs_along_the_leg() -> None:
+    assert climbed((2.5, 1.5)).lessons.climbs_first
+    assert not climbed((20.0 / 60.0, 20.0 / 60.0)).lessons.climbs_first
+    assert not Progress().lessons.climbs_first  # before anything was flown

@@ -37,7 +37,7 @@ NAN = math.nan
 
 @cache
 def said() -> tuple[Finding, ...]:
-    """What the tests say about themselves."""
+    """Findings about the tests."""
     return findings(READINGS, 25.0, corridor(READINGS, 25.0))
 
 
@@ -126,7 +126,7 @@ def test_an_undecided_gate_says_that_nothing_is_proven(undecided: str) -> None:
 
 def test_every_part_is_there(passed: str) -> None:
     words = text_of(passed)
-    for heading in ("Claims", "Bias against the limits", "What the tests say about themselves", "Curves and corridors",
+    for heading in ("Claims", "Bias against the limits", "Findings about the tests", "Curves and corridors",
                     "Over ambient temperature", "Precision", "Uncertainty budget", "Data",
                     "Agreement with the study's printed tables"):  # fmt: skip
         assert re.search(f"<h2 id=[^>]*>{heading.replace(chr(39), '&#x27;')}</h2>", passed), heading

@@ -217,7 +217,7 @@ def test_a_fitted_file_is_narrower_than_a_generic_one() -> None:
 
 
 def warns_of_wear(step: ReplayedRow) -> bool:
-    return any("more ohms than its type" in w for w in step.estimate.warnings)
+    return any("more resistance than its type" in w for w in step.estimate.warnings)
 
 
 def test_an_aged_pack_is_noticed_within_the_flight() -> None:

@@ -287,7 +287,7 @@ def test_the_place_of_a_px4_log_counts_from_its_home(shared_data: Path) -> None:
 def test_info_names_the_route(folder: Path) -> None:
     told = lines(describe(read_log(folder / "flight.tlog")))
     assert "route        mission of 7 items, home, positions, progress, wind" in told
-    assert "route        the log says nothing of it" in lines(describe(read_log(folder / "flight.csv")))
+    assert "route        not in the log" in lines(describe(read_log(folder / "flight.csv")))
 
 
 def test_a_flight_with_its_route_has_the_rows_of_its_table(shared_data: Path) -> None:

@@ -189,7 +189,7 @@ def test_who_flew_and_when(shared_data: Path) -> None:
     )
     assert vehicle("flights/ardupilot/quad_3s_4000_underpowered.log").endswith("system 1, ArduCopter V3.0.1")
     assert "system 1, ArduPilot, started 2026-09-21 14:13:20 UTC" in vehicle("truth/blind/b1/flight_1.tlog")
-    assert vehicle("flights/m100/m100_001_752.csv").endswith("the log does not say who flew")
+    assert vehicle("flights/m100/m100_001_752.csv").endswith("not named in the log")
 
 
 def test_real_logs_are_described(shared_data: Path) -> None:

@@ -62,7 +62,7 @@ def read(tmp_path: Path, *packed: bytes, instance: int | None = None) -> Flight:
 def test_a_row(tmp_path: Path, v1: bool, sign: bool) -> None:
     flight = read(
         tmp_path, pack(heartbeat(), 0.0, v1=v1, sign=sign), pack(battery(), 1.5, v1=v1, sign=sign),
-        pack(heartbeat(armed=False), 2.0), pack(battery(), 3.0),
+        pack(heartbeat(armed=False), 1.9), pack(heartbeat(armed=False), 2.0), pack(battery(), 3.0),
     )  # fmt: skip
     first, second = flight.samples
     assert (flight.kind, flight.duration_s) == ("tlog", 3.0)

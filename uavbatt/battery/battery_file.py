@@ -112,7 +112,7 @@ def read_battery(name_or_path: str | Path, *, allow_uncertified: bool = False) -
     _check_values(file, origin)
     problem = _why_uncertified(file)
     if problem and not allow_uncertified:
-        raise Uncertified(f"{origin}: {problem}; --allow-uncertified reads it all the same")
+        raise Uncertified(f"{origin}: {problem}; give --allow-uncertified to use it anyway")
     return _let_through(file) if problem else file
 
 
@@ -161,9 +161,7 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
             return entry.read_bytes(), name_or_path
         raise BadInput(name_or_path, "", f"a battery file or one of the packaged: {', '.join(packaged())}")
     if not path.exists():
-        raise BadInput(path, "", "a battery file that exists")
-    if path.is_dir():
-        raise BadInput(path, "", "a battery file, not a directory")
+        raise BadInput(path, "", "a battery file, found no file of this name")
     return read_bounded(path, MOST_BYTES, "a battery file"), str(path)
 
 
@@ -171,7 +169,7 @@ def _check_values(file: BatteryFile, origin: str) -> None:
     """Raise BadInput unless the arrays are finite, ascending, of one length and fit each other."""
     for place, number in _numbers(msgspec.to_builtins(file)):
         if not math.isfinite(number):
-            raise BadInput(origin, place, f"a finite number, got {number}")
+            raise BadInput(origin, place, f"a finite number, found {number}")
     table = file.parameters
     for axis, values in (("ocv_soc", "ocv_V"), ("resistance_soc", "resistance_ohmAh")):
         soc, column = getattr(table, axis), getattr(table, values)
@@ -189,7 +187,7 @@ def _check_values(file: BatteryFile, origin: str) -> None:
         volts = getattr(file.battery, name)
         if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
             limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
-            raise BadInput(origin, f"battery.{name}", f"{limits}, got {volts:g} V for the pack")
+            raise BadInput(origin, f"battery.{name}", f"{limits}, found {volts:g} V for the pack")
     wander = file.discrepancy.wander
     if wander is not None and (
         len(wander.soc) != len(wander.voltage_sd_V) or any(b <= a for a, b in pairwise(wander.soc))
@@ -211,7 +209,7 @@ def _check_effect(entry: EffectEntry, origin: str) -> None:
         if name not in bounds:
             raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")
         if not bounds[name][0] <= value <= bounds[name][1]:
-            raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, got {value}")
+            raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, found {value}")
 
 
 def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:

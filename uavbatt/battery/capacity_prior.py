@@ -22,14 +22,14 @@ from uavbatt.battery.scaling import Pack
 
 MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
-NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
-SHARPEST = 0.02  # a narrower mode would fall between two members and be lost
+NEW_SHORT = 0.3  # share of the doubt about a printed capacity that remains for a new pack
+SHARPEST = 0.02  # a narrower mode would be lost between two members
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP, UNKNOWN_MAKE_OVERLAP = 0.35, 0.6  # sd of a member as a share of the distance to the next
-# A capacity stated ten times too large, and what lies between.
+# Covers a capacity that is stated ten times too large, and all between.
 ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
-# Shares, means and sds of ln(capacity / stated) beside what the file's own packs are spread by: packs as good as new,
-# packs in service, and those of which something stated is wrong.
+# Shares, means and sds of ln(capacity / stated), added to the spread of the file's own packs: packs as good as new,
+# packs in service, and packs about which something was stated wrongly.
 PRIOR = ((0.68, 0.0, 0.0), (0.25, -0.14, 0.09), (0.07, -0.30, 0.35))
 UNKNOWN_MAKE_PRIOR = ((0.53, 0.0, 0.03), (0.35, -0.14, 0.09), (0.12, -0.30, 0.35))
 

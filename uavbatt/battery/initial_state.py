@@ -20,7 +20,7 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters, State
 IDLE_C_RATE = 0.3  # avionics and a companion computer draw up to 0.2 C of a small pack; a hover 2 to 6 C
 # Four of five flights begin with a pack straight from the charger, which stops within a percent of full.
 FULL_SHARE, FULL_SD = 0.8, 0.01
-ANY_SD = 0.4  # of a charge that nothing is known of
+ANY_SD = 0.4  # sd of a charge that is not known at all
 SLOPE_WITHIN, LEAST_SLOPE_V = 0.04, 0.1  # the OCV's slope at a charge is that over so far on both sides [V per charge]
 
 
@@ -76,7 +76,7 @@ def joint(
 
 
 class _Hypothesis(NamedTuple):
-    """One hypothesis of the charge after the reading."""
+    """_Hypothesis holds one possible charge after the reading."""
 
     likelihood: float
     mean: Array
@@ -86,7 +86,7 @@ class _Hypothesis(NamedTuple):
 def _after_reading(
     p: Parameters, emf_V: float, soc: float, soc_sd: float, reading_sd_V: float, bias_sd_V: float
 ) -> _Hypothesis:
-    """Kalman's update of (charge, discrepancy) by the reading, linear around `soc`."""
+    """Update (charge, discrepancy) by the reading with a Kalman filter that is linear around `soc`."""
     below, above = max(soc - SLOPE_WITHIN, 0.0), min(soc + SLOPE_WITHIN, 1.0)
     rise_V = float(model.open_circuit_voltage(p, above)) - float(model.open_circuit_voltage(p, below))
     row = np.array([max(rise_V / (above - below), LEAST_SLOPE_V), 1.0])

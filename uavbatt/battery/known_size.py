@@ -37,7 +37,7 @@ class KnownSize(NamedTuple):
     doubts: tuple[Doubt, ...] = ()
     first_A: float = NAN  # current at the first voltage [A]
     counts: tuple[int, ...] = ()
-    rested_V: float = NAN  # of the first rows, by which the kind of the cells is told [V of the pack]
+    rested_V: float = NAN  # of the first rows, which shows the kind of the cells [V of the pack]
 
     @property
     def refusal(self) -> str:

@@ -32,7 +32,7 @@ LOWEST_SOC, GRID_STEP = float(SOC_GRID[0]), float(SOC_GRID[1] - SOC_GRID[0])
 LAST_POSITION = SOC_GRID.size - 1.0
 TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
-MOST_STEPS = 720  # of a silence of more than an hour, in which a pack rests: longer steps move nothing then
+MOST_STEPS = 720  # after more than an hour of silence a pack rests: longer steps do no harm
 
 
 class Parameters(NamedTuple):
@@ -172,9 +172,7 @@ def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
     """
     if not eq.is_on(p.surface_h):
         return 0.0
-    surface = np.maximum(
-        soc - c_rate * p.surface_h, np.minimum(soc, LOWEST_SOC)
-    )  # it has no more to lose than there is
+    surface = np.maximum(soc - c_rate * p.surface_h, np.minimum(soc, LOWEST_SOC))  # not below the end of the table
     return open_circuit_voltage(p, soc) - open_circuit_voltage(p, surface)
 
 

@@ -17,7 +17,7 @@ from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Parameters, State
 
-FULL_CELL_V = 4.0  # of a cell, in the mean of a gentle discharge: less
+FULL_CELL_V = 4.0  # of a cell; the mean of a gentle discharge is less
 
 
 class Installation(NamedTuple):

@@ -30,7 +30,7 @@ from uavbatt.battery.model import Array
 DRAG_AT_MS = 10.0
 FAST_MS = 8.0
 MOST_BEYOND = 4.0
-TURN_S = 5.0  # in which an aircraft turns and has its new speed: 4 to 6 s on the flights of a simulated quadrotor
+TURN_S = 5.0  # time of a turn up to the new speed: 4 to 6 s for a simulated quadrotor
 GRAVITY_MS2 = 9.81
 TERMS = ("induced", "drag", "climb", "descent", "fast_climb", "fast_descent", "take_off", "landing")
 
@@ -72,7 +72,7 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 # An unknown aircraft: momentum theory with 60 % of the hover power induced, and the slopes of the measured multirotors.
 # `hover_W` is set from the power flown so far.
 UNKNOWN = Powers(hover_W=1.0, level_sd=0.12, fast_sd=0.15, fastest_ms=15.0)
-PRIOR_SD = np.array([0.15, 0.15, 0.03, 0.03, 0.05, 0.05, 0.08, 0.08])  # of the shares, between aircraft
+PRIOR_SD = np.array([0.15, 0.15, 0.03, 0.03, 0.05, 0.05, 0.08, 0.08])  # spread of the shares between aircraft
 
 
 def induced_ratio(airspeed_ms: ArrayLike, induced_ms: float) -> Array:
@@ -124,9 +124,9 @@ def level_of(powers: Powers, columns: Array, power_W: float) -> float:
 
 
 def _shares(powers: Powers, columns: Array) -> tuple[Array, Array]:
-    """The share of the hover's power that the level scales, and what the air drags at any level.
+    """Return the share of the hover power that the level scales, and the share of drag, which it does not scale.
 
-    Of an aircraft that nobody knows the level is the hover itself, and scales all.
+    For an unknown aircraft the level is its hover power, which scales all terms.
     """
     dragged = columns[..., TERMS.index("drag")] * (powers.drag if powers.flights else 0.0)
     return np.asarray(1.0 + columns @ powers.shares - dragged), np.asarray(dragged)

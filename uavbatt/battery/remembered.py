@@ -39,7 +39,7 @@ class PackHealth(NamedTuple):
     log_Ah: float
     covariance: Array
     cells: int = 0  # in series; 0 where nobody says
-    fullest_cell_V: float = ORDINARY_FULL_V  # at which a full cell has rested [V]
+    fullest_cell_V: float = ORDINARY_FULL_V  # voltage at which a full cell has rested [V]
 
     def may_be(self, pack: Pack) -> bool:
         """Return False if the pack has another number of cells, so that it is another pack under this name."""
@@ -56,11 +56,11 @@ class Scales(NamedTuple):
     covariance: Array
 
 
-# Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
+# Prior of a pack without memory and without assumptions: so wide that the belief shows what the flight itself says.
 UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
 HALF_CHARGE, HOVER_C_RATE = 0.5, 2.5
-REMEMBERED_REACTION_SD_V = 0.025  # what may still be ohms that were remembered; half of that of any pack in service
-REACTION_SHARE = 0.6  # more makes plans of aged packs too long in the cold, less too short in the warmth
+REMEMBERED_REACTION_SD_V = 0.025  # for remembered ohms that are a reaction; half of that of any pack
+REACTION_SHARE = 0.6  # with more, plans for aged packs are too long in the cold; with less, too short in the warmth
 TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
 FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
 
@@ -192,5 +192,5 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
     tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that the text does not change with every per cent
-    direction, causes = ("more", CAUSES) if apart > 0.0 else ("fewer", ANOTHER)
-    return f"about {tens}% {direction} ohms than remembered of this pack: {causes}"
+    direction, causes = ("more", CAUSES) if apart > 0.0 else ("less", ANOTHER)
+    return f"about {tens}% {direction} resistance than remembered of this pack: {causes}"

@@ -27,19 +27,19 @@ class Pack(NamedTuple):
     low_V: Number
     resistance_scale_sd: float
     capacity_scale_sd: float
-    capacity_short_sd: float  # beside it, for less than is stated: who prints a capacity seldom prints too little
+    capacity_short_sd: float  # added for less than is stated: few packs hold more than is printed
     bias_sd_V: float  # discrepancy of the model, per cell
     bias_tau_s: float
     reaction_sd_V: float  # of the drop that its electrodes take beyond those of its type at a large load, per cell
     ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off, per cell
-    ocv_drift_sd_V: Array  # the part of it that is another at another charge
+    ocv_drift_sd_V: Array  # the part of it that changes with the charge
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
     drop_share: float  # relative error of the drop under load, from reading to reading
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
-    evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
-    empty_soc_sd: float  # of the charge that its make leaves in it at the knee, as a share of what was drawn by then
+    evidence_share: float  # share of a reading that counts when capacities are compared
+    empty_soc_sd: float  # of the charge left at the knee, as a share of the charge drawn by then
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
@@ -49,15 +49,15 @@ class Pack(NamedTuple):
         return self._replace(cutoff_V=self.cutoff_V + raised_V, low_V=self.low_V + raised_V)
 
 
-# Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
-# row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
+# Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
+# the row before. On flights with a row every 12 s it was 14 mV, and 10 mohm times the change, for a pack of 90 mohm.
 ROW_SHARE = 0.12
-DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
+DROP_SHARE = 0.09  # errors that all readings share are in the discrepancy
 COLLAPSE_V = 4.0  # volts per unit of charge
-# A pack in service is not the tested pack: electrodes that have aged or are of another batch react more slowly. This
-# costs a voltage as soon as the load comes, the same at every charge and temperature: 0.05 V a cell at 0.6 of the
-# exchange current, which a pack that has lost a sixth of its charge may have. With a smaller sd its drop would be taken
-# for resistance, which grows in the cold and at the knee, and for charge that compensates for it.
+# A pack in service is not the tested pack: aged electrodes, or those of another batch, react more slowly. This lowers
+# the voltage as soon as the load begins, by the same amount at every charge and temperature: 0.05 V a cell at 0.6 of
+# the exchange current, which a pack that has lost a sixth of its charge may have. With a smaller sd the filter would
+# explain this drop by resistance, which grows in the cold and at the knee, and correct the charge for it.
 SERVICE_REACTION_SD_V = 0.05
 # The rest, beside the reaction, changes by 5 to 15 mV within some minutes as the cell warms and empties.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.012, 2000.0
@@ -67,27 +67,27 @@ SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what age
 FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
 # The printed capacity of an untested make is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
-# Its curve is a mean over makes, and is off to the same side for minutes at a time: a tenth of the readings is
-# independent, and its wide discrepancy covers the error of the drop.
+# The curve of an untested make is a mean over makes, with an error that stays the same for minutes: a tenth of the
+# readings is independent, and the wide discrepancy covers the error of the drop.
 UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
 UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
-# Its ohms have wide room already. With more for the reaction, what rounding does to a reading grows in a log that
-# begins in the air.
+# Its resistance has a wide spread already. With more spread for the reaction, rounding of the readings does more harm
+# in a log that begins in the air.
 UNKNOWN_MAKE_REACTION_SD_V = 0.02
 # A mean over makes does not tell how much charge a make leaves in its cells at the knee: 0.5 to 5 % at 2 to 5 C in
 # three makes, 0 to 24 % in a fourth, which diffuses slowly.
 UNKNOWN_MAKE_EMPTY_SOC_SD = 0.05
 # A fit has seen packs at rest mostly when full; a mean over makes is equally good at rest at any charge.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
-# The standard error of a parameter ignores correlations: a curve that is too high at every charge comes with too little
-# resistance, and the voltage of a flight is known far better than either. Of three makes with a known curve 11 mV were
-# stated, of which 4 mV changed from one charge to another. A certified file may come from tests with an unmeasured
-# load, as the study's: its standard errors include that.
+# The standard error of a parameter ignores correlations: an OCV that is too high at every charge comes with too little
+# resistance, and the voltage of a flight is known far better than either. For three makes with a known curve 11 mV were
+# stated, of which 4 mV changed with the charge. A certified file may come from tests with an unmeasured load, as in the
+# study: its standard errors include that.
 ALONE_SHARE = {"fitted": 0.4}
-# The discrepancy of a prior is that of its whole curve, whose knots have their own errors: this share remains.
+# The discrepancy of a prior includes errors of its knots; this share of it remains for the model itself.
 BESIDE_KNOTS = 0.45
-# The status widens the belief: a file that was not gated may describe another battery. (A generic file has wide spreads
-# by itself; the numbers of an edited file may come from anywhere.)
+# The status of the file widens the belief: a file that was not gated may describe another battery. A generic file has
+# wide spreads by itself; the numbers of an edited file may come from anywhere.
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 
@@ -108,7 +108,7 @@ def monotone_cubic(at: Array, knots: Array, values: Array) -> Array:
 
 
 def _slopes(width: Array, chord: Array) -> Array:
-    """Slope at each knot from the chords between them: their weighted harmonic mean, 0 where the direction turns."""
+    """Return the slope at each knot: the weighted harmonic mean of both chords, 0 where the direction turns."""
     if width.size == 1:
         return np.concatenate([chord, chord], axis=-1)
     before, after = chord[..., :-1], chord[..., 1:]
@@ -122,7 +122,7 @@ def _slopes(width: Array, chord: Array) -> Array:
 
 
 def _end_slope(width: float, next_width: float, chord: Array, next_chord: Array) -> Array:
-    """Three-point slope at an end, kept from overshooting."""
+    """Return the three-point slope at an end, limited so that the curve does not overshoot."""
     slope = ((2.0 * width + next_width) * chord - width * next_chord) / (width + next_width)
     steep = (np.sign(chord) != np.sign(next_chord)) & (np.abs(slope) > 3.0 * np.abs(chord))
     return np.where(np.sign(slope) != np.sign(chord), 0.0, np.where(steep, 3.0 * chord, slope))
@@ -191,7 +191,7 @@ def pack_of(
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
-        cell=cell_parameters(file, fullest_V if unknown else ORDINARY_FULL_V),  # a file of one make knows its own
+        cell=cell_parameters(file, fullest_V if unknown else ORDINARY_FULL_V),  # the file of one make has its own curve
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
@@ -223,7 +223,7 @@ def _is_of_fleet(file: BatteryFile) -> bool:
 
 
 def _ocv_sd_V(file: BatteryFile) -> Array:
-    """Standard error of the open-circuit voltage on SOC_GRID, from those of its knots; 0 where none is stated."""
+    """Return the standard error of the OCV [V] on SOC_GRID, from those of its knots; 0 where none is stated."""
     table = file.parameters
     errors = [table.standard_error.get(f"ocv_{soc:g}", 0.0) for soc in table.ocv_soc]
     return np.asarray(np.interp(SOC_GRID, np.array(table.ocv_soc), np.array(errors)))
@@ -236,7 +236,7 @@ def _drift_sd_V(ocv_sd_V: Array, least: float) -> Array:
 
 
 def _lag_share(file: BatteryFile, quantity: str) -> float:
-    """Relative error of an effect's quantity, between 10 % and 80 %; alone, where it was fitted with the others."""
+    """Return the relative error of an effect's quantity, 0.1 to 0.8: its own part, not what it shares with others."""
     share = ALONE_SHARE.get(file.status, 1.0)
     for entry in file.effects:
         if entry.parameters.get(quantity):

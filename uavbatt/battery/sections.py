@@ -13,7 +13,7 @@ import msgspec
 from uavbatt.limits import CAPACITY_AH, MOST_CELLS
 
 MOST_KNOTS = 4000
-LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0  # of any chemistry that flies, emptied or full
+LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0  # for every chemistry that flies, empty or full
 LET_THROUGH = "its numbers are not what was sealed, or a verdict on them is fail; nobody vouches for them"
 
 Cells = Annotated[int, msgspec.Meta(ge=1, le=MOST_CELLS)]

@@ -7,7 +7,7 @@ from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.limits import Doubt
 from uavbatt.notice import Kind, Notice
 
-SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
+SCALED_FAR = 1.5  # a capacity so many times that of the battery file is another pack's
 
 
 def likely(doubts: list[Doubt | None]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """The size of a pack (cells, capacity, cut-off, warning): the caller, the vehicle, the voltage and the battery file
 state it, in this order. Every command and the live process go by this one rule.
 
-Who tells nonsense (`limits`) is not believed: a vehicle's number is left out with a notice and the next in the order is
-asked; the caller means what he says, so that there is no number for him but the reason.
+An impossible statement (`limits`) is not used. If it is the vehicle's, a notice says so, and the next source in the
+order counts. If it is the caller's, there is no number, but the reason.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
-GUESSED_FROM = "first voltage"  # a count of cells that nobody states
+GUESSED_FROM = "first voltage"  # source of a count of cells that nobody states
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 
 @dataclass(frozen=True, slots=True)
 class PackOptions:
-    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number is impossible.
+    """PackOptions holds what the caller states of the pack; None or NaN is not stated. Raises UsageError if impossible.
 
     fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; names : the names by which the
     caller knows these numbers; what is said of them later uses the names.
@@ -76,8 +76,8 @@ class PackSize:
     cutoff_from: str
     low_V: float
     low_from: str
-    uncertified: str = ""  # what of this pack the battery file's certificate does not cover
-    notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
+    uncertified: str = ""  # how this pack goes beyond the battery file's certificate
+    notices: tuple[str, ...] = ()  # odd values, and statements that were not believed
     refusal: Notice | None = None  # why there can be no number for it
     fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
 
@@ -111,14 +111,14 @@ def size_of_pack(
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; voltages : the voltages [V]
-    that the statements are held against; rested_V : of the pack before its first load [V], if the cells are to be told
-    by it from ordinary ones (`high_voltage`). Raises CapacityNotStated when nobody states the capacity.
+    guessed_cells, guessed_from : the count that fits the voltage, and its source in words; voltages : those [V] that
+    the statements are compared with; rested_V : voltage of the pack before its first load [V], if it is to show the
+    kind of the cells (`high_voltage`). Raises UsageError when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
     cells, cells_from, cells_notices = _cells(given, said, guess, voltages, resting(battery))
-    if cells_notices:  # a PX4 works its critical voltage out from its count of cells
+    if cells_notices:  # PX4 works out its critical voltage from its count of cells
         said = replace(said, critical_voltage_V=NAN)
     why_not = why_no_capacity(battery, given, said)
     if why_not:
@@ -242,7 +242,7 @@ def possible_facts(said: PackFacts, cells: int, voltages: FirstVoltages) -> tupl
 
 
 def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
-    """The capacity [Ah] and where it came from, `said` as it is believed."""
+    """Return the capacity [Ah] and its source; `said` holds the vehicle's statements that are believed."""
     typed_Ah = battery.battery.capacity_Ah
     by = _by(given.names.capacity)
     return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
@@ -251,7 +251,7 @@ def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tupl
 def _endings(
     typed: Battery, given: PackOptions, said: PackFacts, cells: int
 ) -> tuple[tuple[float, str], tuple[float, str]]:
-    """The cut-off and the low-voltage warning of the pack [V], each with where it came from."""
+    """Return the cut-off and the low-voltage warning of the pack [V], each with its source."""
     share = cells / typed.cells_series
     cutoff = _first(
         (given.cutoff_V, _by(given.names.cutoff)),
@@ -270,7 +270,7 @@ def _endings(
 def _cells(
     given: PackOptions, said: PackFacts, guess: tuple[int, str], voltages: FirstVoltages, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
-    """The count of cells, where it came from, and the vehicle's own if it was not believed."""
+    """Return the count of cells, its source, and a notice if the vehicle's own count is not believed."""
     if given.cells is not None:
         by = _by(given.names.cells)
         if said.cells_series in (None, given.cells):
@@ -293,7 +293,7 @@ def _by(name: str) -> str:
 
 
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
-    """The first candidate that is known, with its source; NaN and the last source when none is."""
+    """Return the first candidate that is known, with its source; NaN and the last source if none is known."""
     for value, source in candidates:
         if value is not None and math.isfinite(value):
             return float(value), source

@@ -43,7 +43,7 @@ class X(IntEnum):
 
 
 SIZE = len(X)
-DOUBT_LENGTH = 1.0  # of the charge
+DOUBT_LENGTH = 1.0  # as a share of the charge
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +122,8 @@ def bias_variance(pack: Pack, dt_s: Number) -> Number:
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     """Return the variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
 
-    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another,
-    as far as it changes at all.
+    The error of the file's open-circuit voltage depends on the charge: over a change of the charge by DOUBT_LENGTH the
+    part of it that changes at all becomes independent.
     """
     return drift_variance(at_charge(pack.ocv_drift_sd_V, soc), drained)
 
@@ -147,7 +147,7 @@ def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
     """Return the `voltage` of an unpacked vector."""
-    if pack.sag_compensated:  # by a guess of the resistance, which what a reaction takes is not
+    if pack.sag_compensated:  # by a guess of the resistance, without the drop of the reaction
         bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)

@@ -32,15 +32,15 @@ from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
-FIRST_ROWS_S = 120.0  # of a log: what a command reads before it begins
+FIRST_ROWS_S = 120.0  # part of a log that a command reads before it begins
 LOADED_C_RATE = 0.4
-REVERSED_C_RATE = 0.1  # what an offset of the sensor shows on the ground is less
-REVERSED_S, REGENERATING_S = 15.0, 90.0  # of a current that never discharged, and of one that did before
-# A load that is light for the stated capacity, and yet the voltage gives way: the ohms would be those of no battery.
-# OCV_SLOPE_V a cell and unit of charge at most are the discharge itself, while a cell shows more than PLATEAU_V.
+REVERSED_C_RATE = 0.1  # a sensor's offset on the ground is less
+REVERSED_S, REGENERATING_S = 15.0, 90.0  # longest charging by a current that never discharged, and by one that did
+# The load is light for the stated capacity, but the voltage falls so much that no battery has this resistance. Of the
+# fall at most OCV_SLOPE_V per cell and unit of charge is the discharge itself, while a cell is above PLATEAU_V.
 STRAIN_CELL_V, SURE_STRAIN_CELL_V = 0.08, 0.15
 OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
-# Charge drawn against the charge stated, the cells still far from empty: sensors read up to a third too much.
+# Charge drawn over the stated capacity, with cells still far from empty: sensors read up to a third too much.
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
@@ -96,7 +96,7 @@ class Current(NamedTuple):
     current_A: float = NAN
     load: Means = NO_LOAD  # NO_LOAD until the first row under load: it has not flown
     drawn_Ah: float = 0.0
-    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
+    plateau_Ah: float = 0.0  # the part drawn while the cells were far from empty
     calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
     strain: Strain = NO_STRAIN
     negative_s: float = 0.0
@@ -157,7 +157,7 @@ class Statements(NamedTuple):
         """
         current, capacity_Ah = self.current, pack.capacity_Ah
         load, is_minute = current.load, current.load.loaded_s >= MINUTE_S
-        may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # in flight motors that brake give some back
+        may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # braking motors charge in flight
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
             cells_doubt(pack.cells, self.voltages, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
@@ -197,7 +197,7 @@ class Statements(NamedTuple):
 
 
 def _strong(load: Means, capacity_Ah: float) -> Doubt:
-    """A load that few packs of the stated capacity give for a minute."""
+    """Return the doubt about a capacity for which the load of a minute is too high."""
     is_certain = load.current_A > C_RATE[1] * capacity_Ah
     bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
     words = f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?"
@@ -205,7 +205,7 @@ def _strong(load: Means, capacity_Ah: float) -> Doubt:
 
 
 def _weak(current: Current, capacity_Ah: float) -> Doubt:
-    """A load that is light for the stated capacity, under which the voltage falls as under a heavy one."""
+    """Return the doubt about a capacity for which the load is light, though the voltage falls as under a heavy one."""
     is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
     bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
     words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
@@ -213,7 +213,7 @@ def _weak(current: Current, capacity_Ah: float) -> Doubt:
 
 
 def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
-    """More charge was drawn than is stated, the cells far from empty."""
+    """Return the doubt about a capacity less than the charge drawn while the cells are still far from empty."""
     is_certain = current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
     share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
     words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
@@ -222,7 +222,7 @@ def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
 
 
 def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
-    """A mean power [W] that the range stated of this aircraft does not hold."""
+    """Return the doubt about a mean power [W] far outside the range that is stated of this aircraft; None if inside."""
     if low_W / POWER_FACTOR <= power_W <= high_W * POWER_FACTOR:
         return None
     more = "more than twice" if power_W > high_W else "less than half"
@@ -251,7 +251,7 @@ def first_voltages(samples: Iterable[Sample], capacity_Ah: float = NAN) -> First
 def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
     """Size the pack of a flight by its first rows and by what the vehicle says (`said`).
 
-    Raises UsageError when there is no voltage, or when what the caller states cannot be by the first rows.
+    Raises UsageError when there is no voltage, or when the first rows contradict what the caller states.
     """
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is None:
@@ -284,7 +284,7 @@ def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
 
 
 def _is_idle(sample: Sample, capacity_Ah: float) -> bool:
-    """True if a row shows a pack at rest, or one that only its avionics draw from."""
+    """Return True if a row shows a pack at rest, or a pack that supplies only avionics."""
     if math.isfinite(sample.current_A):
         return abs(sample.current_A) <= IDLE_C_RATE * capacity_Ah
     return sample.armed is False

@@ -93,8 +93,8 @@ def write_vehicle(file: VehicleFile, path: Path) -> Path:
 def read_vehicle(path: str | Path) -> VehicleFile:
     """Read and check a vehicle file; raises BadInput with the file and the place."""
     source = Path(path)
-    if not source.is_file():
-        raise BadInput(path, "", "a vehicle file that exists")
+    if not source.exists():
+        raise BadInput(path, "", "a vehicle file, found no file of this name")
     return _checked(read_bounded(source, MOST_BYTES, "a vehicle file"), path)
 
 

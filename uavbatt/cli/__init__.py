@@ -19,7 +19,7 @@ def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
 
 def main() -> None:
     """Run `uavbatt`; an error ends it with one line and the exit code of that error."""
-    # Small matrices: a second thread of the linear algebra only slows the first one down.
+    # The matrices are small: a second thread of the linear algebra only slows the first one down.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # rows have no reference cycles, and the search for some took a seventh of a replay
     if isinstance(sys.stdout, io.TextIOWrapper):  # an ASCII stream gets escapes instead of other letters

@@ -29,17 +29,17 @@ def _show_version(wanted: bool) -> None:
 def _top(
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
 ) -> None:
-    """Options before the command."""
+    """Take the options before the command."""
 
 
-app.command("validate")(validate.validate)
-app.command("fit")(fit.fit)
-app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
-app.command("packs")(packs.packs)
+app.command("live")(live.live)
+app.command("plan")(plan.plan)
+app.command("fit")(fit.fit)
+app.command("validate")(validate.validate)
 app.command("diagnose")(diagnose.diagnose)
+app.command("packs")(packs.packs)
 app.command("fleet")(fleet.fleet)
 app.command("info")(info.info)
 app.command("batteries")(batteries.batteries)
 app.command("simulate")(simulate.simulate)
-app.command("live")(live.live)

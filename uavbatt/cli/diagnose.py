@@ -55,8 +55,12 @@ def diagnose(
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
-    without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
-    gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", help="Effect to leave out; may be repeated.")
+    ] = None,
+    gate: Annotated[
+        Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests that gate the extended file.")
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
     report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
@@ -89,7 +93,7 @@ def diagnose(
 
         if gate is not None or output is not None:
             raise UsageError(
-                "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
+                "--follow: expected neither --gate nor -o: it finds when an effect began and writes no battery file"
             )
         options = FollowOptions(instance, tuple(without or ()), packs, pack)
         follow_and_tell(sources, content, stated, options, json_file, report)
@@ -164,7 +168,7 @@ def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     from uavbatt.diagnosis.words import MEANING
 
     said = {
-        "no_missing_effect": "nothing is missing: the residual is what this battery's model leaves anyway",
+        "no_missing_effect": "nothing is missing: the residual is no larger than this model's known error",
         "effect_found": f"{len(found.classes)} effects are missing together"
         if found.classes[1:]
         else "an effect is missing",
@@ -172,7 +176,7 @@ def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     }
     lines = [f"{found.verdict}: {said[found.verdict]}"]
     if found.may_hide:
-        lines.append("  if something small is missing all the same, it is most likely this:")
+        lines.append("  if a small effect is missing nevertheless, it is most likely this one:")
     for one in found.classes:
         lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
         for name, i in one.parameters.items():
@@ -183,21 +187,19 @@ def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
         told = ", ".join(f"{b.name} {b.saved:.0f}" for b in found.blocks)
         lines.append(f"  evidence (chi-square saved): {told}")
     if found.hidden:
-        lines.append("  no more than this could hide in these records (95 %):")
+        lines.append("  sizes that could be hidden in these records (95 %):")
         lines += [
             f"    {h.name}: {h.quantity} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden
         ]
     if not found.problem.evidence.has_temperature:
-        lines.append("  no temperature: effects that show in it only are not among the candidates")
+        lines.append("  no temperature: effects that show only in it are not among the candidates")
     b, a = closed.before, closed.after
     lines.append(
         f"  held out: voltage RMSE {1000 * b.voltage_rmse_V:.0f} -> {1000 * a.voltage_rmse_V:.0f} mV, remaining time "
         f"MAE {_number(b.remaining_mae_s)} -> {_number(a.remaining_mae_s)} s"
     )
     if closed.worse:
-        lines.append(
-            f"  held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it"
-        )
+        lines.append(f"  held-out records are predicted worse with it ({closed.worse}): do the check before you use it")
     return lines
 
 

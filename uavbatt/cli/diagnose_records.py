@@ -49,7 +49,7 @@ def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecor
     from uavbatt.telemetry.plausibility import MAX_CELL_C
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
-        raise NotEnoughData(f"{flight.source}: no row has a current: nothing can be traced without it")
+        raise NotEnoughData(f"{flight.source}: no row has a current, and diagnose needs one")
     return observed.from_flight(flight, cells, capacity_Ah, hottest_start_C=MAX_CELL_C)
 
 

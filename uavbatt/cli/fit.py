@@ -77,7 +77,7 @@ def fit(
         content = found.file
         told = [f"  {line}" for line in found.known]
         told += [f"doubtful: {line}" for line in found.doubtful] + [f"not determined: {line}" for line in found.unknown]
-        for line in told if output is not None else []:  # for a vehicle file alone these lines do not matter
+        for line in told if output is not None else []:  # these lines are about the battery file
             say(line)
     if output is not None:
         say(f"{battery_file.write_battery(content, output)}: fitted to {content.discrepancy.source}; not certified")

@@ -61,7 +61,7 @@ def fleet(
     load: LoadOption = "learned",
     instance: InstanceOption = None,
     join: JoinOption = "",
-    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one per core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
     ] = None,
@@ -90,11 +90,13 @@ def fleet(
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find_logs
+    from uavbatt.fleet.processes import check_workers
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import check_word
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
+    check_workers(workers)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     check_join(instance, join)
     check_word(load)
@@ -112,7 +114,7 @@ def fleet(
     found = find_logs(logs, exclude or ())
 
     def crew() -> AbstractContextManager[Workers[Any]]:
-        return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+        return run.connected(min(workers or len(os.sched_getaffinity(0)), len(found)), scheduler)
 
     met, told = _health_before_each(packs, crew, found, job, output) if packs is not None else ([], "")
     flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")
@@ -128,7 +130,7 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
         for one in finished:
             count += one.row is not None
             if one.dropped:
-                remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are flown again")
+                remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are replayed again")
             show(one)
     return count
 
@@ -166,12 +168,12 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
     remarks = (("logs", f"{logs}; {flown} of them read in this run, the others in an earlier one"),)
     write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
-    say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
+    say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} replayed, {failed} failed")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
         say(f"  {count:5d}  {reason}")
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
-        raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+        raise UavbattError(f"none of {logs} logs could be replayed, the reasons are in {folder / CSV}")
 
 
 def _column(name: str) -> str:

@@ -12,11 +12,11 @@ from uavbatt.cli.options import say
 
 
 def info(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="DataFlash, tlog, ulg or CSV.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log: .BIN, .log, .tlog, .ulg or CSV.")],
     instance: InstanceOption = None,
     system: SystemOption = None,
 ) -> None:
-    """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted.
+    """Show the batteries of a log, their rates and gaps, what is missing, and if a replay can be trusted.
 
     Example: uavbatt info flight.BIN
     """

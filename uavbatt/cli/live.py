@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 def live(
     endpoint: Annotated[
-        str, typer.Argument(metavar="ENDPOINT", help="udpin:, udpout:, tcp:, tcpin: or a device.")
+        str,
+        typer.Argument(metavar="ENDPOINT", help="Telemetry: udpin:HOST:PORT, udpout:, tcp:, tcpin:, or DEVICE,BAUD."),
     ] = "",
-    gcs: Annotated[list[str] | None, typer.Option("--gcs", help="Where a ground station is.")] = None,
+    gcs: Annotated[list[str] | None, typer.Option("--gcs", help="Endpoint of a ground station.")] = None,
     feed: Annotated[list[str] | None, typer.Option("--feed", help="proxy, battery or named; may be repeated.")] = None,
     http: Annotated[str | None, typer.Option("--http", help="HOST:PORT of the page for a browser.")] = None,
     battery: Annotated[str | None, BATTERY] = None,
@@ -31,22 +32,22 @@ def live(
     reserve_soc: Annotated[float | None, RESERVE] = None,
     allow_uncertified: Annotated[bool | None, UNCERTIFIED] = None,
     instance: Annotated[int | None, typer.Option("--instance", min=0, max=255, help="Only this battery.")] = None,
-    vehicle: Annotated[str | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew.")] = None,
-    load: Annotated[str | None, typer.Option("--load", help="learned, recent or watts.")] = None,
+    vehicle: Annotated[str | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    load: Annotated[str | None, typer.Option("--load", help="The load to come: learned, recent, or watts.")] = None,
     packs: Annotated[
-        str | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")
+        str | None, typer.Option("--packs", metavar="FILE", help="Pack ledger (SQLite); made if missing.")
     ] = None,
     pack: Annotated[
-        str | None, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")
+        str | None, typer.Option("--pack", metavar="NAME", help="Name of the pack; default: its serial.")
     ] = None,
     mission: Annotated[
-        str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan); goes before the autopilot's.")
+        str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan); replaces the autopilot's.")
     ] = None,
-    record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Record into this folder.")] = None,
+    record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Folder for recordings.")] = None,
     state: Annotated[
-        str | None, typer.Option("--state", metavar="FILE", help="Saved state, to go on after a crash.")
+        str | None, typer.Option("--state", metavar="FILE", help="File of the saved state, to go on after a crash.")
     ] = None,
-    request: Annotated[bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")] = None,
+    request: Annotated[bool | None, typer.Option("--request", help="Ask for rates and battery parameters.")] = None,
     request_mission: Annotated[
         bool | None, typer.Option("--request-mission", help="Ask the autopilot for its mission.")
     ] = None,
@@ -56,7 +57,9 @@ def live(
     ] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
-    """Estimate in flight: read telemetry, send the time left (scripts/uavbatt.toml explains every setting).
+    """Estimate in flight: read the autopilot's telemetry, show the time left in a browser or a ground station.
+
+    Every option has a key in the configuration file (--config, explained in scripts/uavbatt.toml and docs/live.md).
 
     Example: uavbatt live udpin:127.0.0.1:14551 --http 127.0.0.1:8080
     """

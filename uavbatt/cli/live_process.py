@@ -44,7 +44,7 @@ def run(config: Config) -> None:
     link, stations = _links(config)
     daemon = Daemon(config, content, options, settings, link, stations)
     told: set[int] = set()
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # until here each ends the process, whatever it reads
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # before this line each signal ends the process
         signal.signal(number, lambda signum, frame: told.add(signum))
     if config.http.listen:
         from uavbatt.live.web import serve
@@ -53,7 +53,7 @@ def run(config: Config) -> None:
     tell(f"waiting for telemetry from {config.link.endpoint}; {_feeds(config)}")
 
     def is_stopped() -> bool:
-        """The terminal may be gone (a lost connection of ssh): no flight ends with it."""
+        """Return True if the process must end; a hangup counts only while disarmed: a lost ssh ends no flight."""
         return bool(told - {signal.SIGHUP}) or (bool(told) and daemon.armed is not True)
 
     daemon.run(is_stopped)

@@ -13,7 +13,9 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.records import Flight
 
-InstanceOption = Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")]
+InstanceOption = Annotated[
+    int | None, typer.Option("--instance", min=0, help="Number of the battery in the log, from 0.")
+]
 JoinOption = Annotated[str, typer.Option("--join", help="parallel or series: all batteries of the log as one pack.")]
 
 

@@ -44,12 +44,14 @@ ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.", callback=_page_name)]
-LoadOption = Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")]
+LoadOption = Annotated[str, typer.Option("--load", help="The load to come: learned, recent, log, or watts.")]
 VehicleOption = Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")]
-PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
-PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
+PacksOption = Annotated[
+    Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger (SQLite); made if missing.")
+]
+PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; default: its serial.")]
 WindOption = Annotated[
-    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s], from direction [deg]: 6@270.")
+    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="6@270 is a wind of 6 m/s from west.")
 ]
 DEFAULT_BATTERY = "lipo-generic"
 FASTEST_WIND_MS = 100.0

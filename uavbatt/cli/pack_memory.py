@@ -74,7 +74,7 @@ class PackMemory:
             return LearnedFlight((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:
             after = self.ledger.save(name, found.record)
-        except AnotherSize as error:  # of another pack: the forecast was made without what is remembered
+        except AnotherSize as error:  # another pack: its forecast did not use the ledger
             return LearnedFlight(
                 (f"  pack       {name}: not remembered: {error}",), {"pack": name, "pack_findings": [ANOTHER]}
             )
@@ -101,7 +101,7 @@ def open_memory(packs: Path | None, pack: str = "", *, only_read: bool = False) 
     """Open the ledger that the options name, for a block. Raises UsageError for a name without a ledger."""
     if packs is None:
         if pack:
-            raise UsageError(f"--pack {pack}: expected --packs FILE as well, the ledger that remembers it")
+            raise UsageError(f"--pack {pack}: expected --packs FILE as well, the file of the pack ledger")
         yield PackMemory(None)
         return
     from uavbatt.packs.ledger import Ledger

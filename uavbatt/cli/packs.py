@@ -22,9 +22,9 @@ def packs(
     report: ReportOption = None,
     forget: Annotated[str, typer.Option("--forget", metavar="NAME", help="Delete a pack with its flights.")] = "",
     export: Annotated[Path | None, typer.Option("--export", help="Write the pack of --pack to this file.")] = None,
-    take_in: Annotated[Path | None, typer.Option("--import", help="Add the pack of such a file.")] = None,
+    take_in: Annotated[Path | None, typer.Option("--import", help="Add the pack of an exported file.")] = None,
 ) -> None:
-    """Packs and their outlook: capacity, resistance, trend, and when to retire each.
+    """Show each pack of a ledger: capacity, resistance, trend, and when to retire it.
 
     Example: uavbatt packs packs.sqlite --report packs.html
     """

@@ -44,14 +44,16 @@ if TYPE_CHECKING:
 def plan(
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[float | None, typer.Option("--power-w", help="Mean power of the flight [W].")] = None,
-    like: Annotated[Path | None, typer.Option("--like", help="A past log, whose load is flown again.")] = None,
+    like: Annotated[Path | None, typer.Option("--like", help="A past log: its load is flown again.")] = None,
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
     mission: Annotated[
         Path | None, typer.Option("--mission", help="With --vehicle: does this .waypoints or .plan file fit?")
     ] = None,
-    wind: Annotated[str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG [m/s], as 6@270.")] = None,
+    wind: Annotated[
+        str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG, 6@270 is 6 m/s from west.")
+    ] = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[
         float, typer.Option("--start-soc", min=0.01, max=1.0, help="State of charge at take-off, 0..1.")
@@ -67,7 +69,7 @@ def plan(
     report: ReportOption = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
-    """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature.
+    """Work out the endurance before take-off, or whether a mission fits; with a table over ambient temperature.
 
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
@@ -76,11 +78,11 @@ def plan(
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
-        raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
+        raise UsageError("the power is not known: expected exactly one of --power-w W, --like LOG, --vehicle FILE")
     if mission is not None and vehicle is None:
-        raise UsageError("--mission: expected with --vehicle FILE, which says what this aircraft asks in each leg")
+        raise UsageError("--mission: expected --vehicle FILE as well, the powers that this aircraft needs in each leg")
     if wind is not None and mission is None:
-        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
     check_writable(report, summary, reads=(like, vehicle, mission, packs))
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
@@ -135,7 +137,7 @@ def _lines(plan: Plan) -> list[str]:
     resolved, here = plan.resolved, plan.here
     lines = [
         f"{resolved.battery} ({resolved.status}): {resolved.words}",
-        f"  load       {plan.load}; state of charge {plan.start_soc:g} at take-off",
+        f"  load       {plan.load}; charge {plan.start_soc:.0%} at take-off",
         *(f"  warning    {warning}" for warning in plan.warnings),
         f"  at {here.ambient_C:g} °C: {_headline(here)}",
         f"  {'ambient':>8}  {'median':>8}  {'5 %':>8}  {'95 %':>8}",

@@ -81,7 +81,7 @@ class ReplayOptions:
 
 
 def replay(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="DataFlash, tlog, ulg or CSV.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs: .BIN, .log, .tlog, .ulg or CSV.")],
     battery: BatteryOption = DEFAULT_BATTERY,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -96,7 +96,7 @@ def replay(
     packs: PacksOption = None,
     pack: PackOption = "",
     mission: Annotated[
-        Path | None, typer.Option("--mission", help="The planned mission: a .waypoints or .plan file.")
+        Path | None, typer.Option("--mission", help="Mission file (.waypoints, .plan); replaces the log's.")
     ] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,

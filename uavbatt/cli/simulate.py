@@ -35,15 +35,19 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="FILE.tlog, FILE.BIN or FILE.csv")],
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[
-        float, typer.Option("--power-w", min=1.0, help="Mean power of the flight, with --mission of the hover [W].")
+        float, typer.Option("--power-w", min=1.0, help="Mean power [W]; with --mission, that of the hover.")
     ] = 200.0,
-    mission: Annotated[Path | None, typer.Option("--mission", help="Fly this: a .waypoints or .plan file.")] = None,
+    mission: Annotated[
+        Path | None, typer.Option("--mission", help="Mission to fly: a .waypoints or .plan file.")
+    ] = None,
     wind: WindOption = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[
         float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
     ] = 1.0,
-    effect: Annotated[list[str] | None, typer.Option("--effect", help="NAME=VALUE, may be repeated.")] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option("--effect", help="Effect to plant, NAME=VALUE; may be repeated.")
+    ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Seed of the noise: the same seed gives the same log.")
     ] = 1,
@@ -63,7 +67,7 @@ def simulate(
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
-        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
     route = _route(mission, wind) if mission is not None else None
     content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series

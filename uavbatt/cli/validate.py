@@ -27,18 +27,27 @@ class Method(StrEnum):
 
 
 def validate(
-    dataset: Annotated[Path | None, typer.Argument(metavar="[DATASET]", help="Folder; default: the study.")] = None,
-    ship: Annotated[Path | None, typer.Option("--ship", metavar="DIR", help="Write the battery file on pass.")] = None,
+    dataset: Annotated[
+        Path | None, typer.Argument(metavar="[DATASET]", help="Data-set folder; default: the packaged study.")
+    ] = None,
+    ship: Annotated[
+        Path | None, typer.Option("--ship", metavar="DIR", help="Folder for the battery file, written on pass.")
+    ] = None,
     report: ReportOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
-    method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
+    method: Annotated[
+        Method, typer.Option("--method", help="iso (gates), or paper: the study's equations as printed.")
+    ] = Method.ISO,
     template: Annotated[
         Path | None, typer.Option("--template", metavar="DIR", help="Write a data set to fill in, and nothing else.")
     ] = None,
     limit_v: Annotated[
-        float | None, typer.Option("--limit-v", min=0.001, help="Limit of the voltage of this pack [V]; 0.05 a cell.")
+        float | None,
+        typer.Option("--limit-v", min=0.001, help="Largest bias that passes [V of this pack]; default: 0.05 a cell."),
     ] = None,
-    limit_s: Annotated[float, typer.Option("--limit-s", min=0.1, help="Limit of the crossing time [s].")] = 10.0,
+    limit_s: Annotated[
+        float, typer.Option("--limit-s", min=0.1, help="Largest bias of the crossing time that passes, in s.")
+    ] = 10.0,
     crossing_v: Annotated[
         float | None, typer.Option("--crossing-v", min=0.1, help="Voltage of this pack whose crossing is timed [V].")
     ] = None,

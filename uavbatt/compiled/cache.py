@@ -18,7 +18,7 @@ SOURCES = ("battery", "compiled", "estimation", "prediction")
 def is_available() -> bool:
     """Return True if numba can be imported and has a folder to write to.
 
-    With a numpy that is newer than it knows numba cannot be imported.
+    numba cannot be imported with a numpy that is too new for it.
     """
     if cache_dir() is None:
         return False

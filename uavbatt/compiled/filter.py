@@ -238,10 +238,10 @@ def run(
 ) -> tuple[Any, ...]:
     """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
 
-    most : no more moments than this come of the rows, the given one included.
-    Returns the moments (means [m, members, 9], covariances and ln of the weights, the given one first), which of them
-    is in force after each row, time of the last row taken in and ambient temperature at each row, what each row shows
-    [n, 4] as `Innovation` has it, and where that ends: currents of the last row and block [A], the open block, the air.
+    most : the largest number of moments that the rows can give, the given one included. Returns the moments (means [m,
+    members, 9], covariances and ln of the weights, the given one first), which of them is in force after each row, time
+    of the last row taken in and ambient temperature at each row, what each row shows [n, 4] as `Innovation` has it, and
+    the state after the last row: currents of the last row and block [A], the open block, the air.
     """
     n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))

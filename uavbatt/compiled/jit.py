@@ -58,7 +58,7 @@ def as_numbers(record: Any) -> Any:
 
 
 def _replace(record: Any, **given: Any) -> Any:
-    """Source of `record._replace(...)` for the fields that are given: a call of the record's class."""
+    """Return the source of `record._replace(...)` for the given fields: a call of the record's class."""
     stated = {name for name, value in given.items() if value is not None and not isinstance(value, types.Omitted)}
     values = ", ".join(name if name in stated else f"record.{name}" for name in record.instance_class._fields)
     return _defined(f"return made({values})", made=record.instance_class)

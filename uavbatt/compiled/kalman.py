@@ -86,7 +86,7 @@ def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Arra
             later[i] += K[m, i] * y[m]
             for j in range(SIZE):
                 kept[i, j] -= K[m, i] * PHt[m, j]
-    across = np.zeros((n, SIZE))  # what K must take away once more: kept Hᵀ less K R
+    across = np.zeros((n, SIZE))  # the term that K takes away once more: kept Hᵀ less K R
     for m in range(n):
         for i in range(SIZE):
             for j in range(SIZE):

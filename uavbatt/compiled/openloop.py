@@ -40,7 +40,7 @@ def column(p: Parameters, j: int) -> Parameters:
 
 
 def _column_of(p: Any, j: Any) -> Any:
-    """The source of `column`: every field of the record, whatever fields it has."""
+    """Return the source of `column` for this record, whatever fields it has."""
     rows = {name: f"p.{name}[j if p.{name}.shape[0] > 1 else 0]" for name in TABLES}
     values = ", ".join(rows.get(name, f"p.{name}[j]") for name in p.instance_class._fields)
     scope: dict[str, Any] = {"made": p.instance_class}

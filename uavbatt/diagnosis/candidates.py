@@ -31,14 +31,14 @@ ONE_WAY = ("fade", "growth")  # ageing has one direction
 SLOWING = ("transfer_V",)  # reactions only become slower: never less than in the file
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
-# What a sensor may drift along: the time since the record began, or the temperature that is measured.
+# A sensor may drift along one of these: the time since the record began, or the measured temperature.
 Course = Literal["time", "temperature"]
 COURSES: tuple[Course, ...] = get_args(Course)
 
 
 @dataclass(frozen=True, slots=True)
 class FreeQuantity:
-    """A quantity that a refit frees: QUANTITIES[index], moved from its start by `scale` times u within the bounds."""
+    """FreeQuantity is a quantity that a refit frees: QUANTITIES[index] = start + `scale` times u, within its bounds."""
 
     index: int
     start: float
@@ -70,7 +70,7 @@ class FreeQuantity:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect, or several that are refitted together.
+    """A Candidate is one effect, or several that are refitted together.
 
     `names` has the name of each effect, `sizes` the number of its quantities among `freed`. With `free_start` every
     record has a starting charge of its own, around a shift that all share.
@@ -116,7 +116,7 @@ NOTHING = Candidate((), ())
 # is right to about a percent; a file for all packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
-# Errors that the file states. The errors of the others are tied to that of the resistance.
+# Errors that the file states. The errors of other effects follow that of the resistance.
 STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
 # A reaction slows down in the cold by another law than a resistance grows, and the model does not have that law. If the
 # file has a slow reaction, its behaviour in the cold is known no better than this, however well it fits a few flights.

@@ -16,8 +16,9 @@ from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors on either side: 95 % with few independent parts of a record
 SLOWEST_POLARISATION_S = 30.0
-# A lag of the sensor is read from how the pack warms, and the model lacks the heat of the reactions themselves (the
-# entropic term of Bernardi 1985), which grows as a pack empties: 13 lags of drawn cases were told at 0.55 to 0.69.
+# The lag of a temperature sensor is estimated from the warming of the pack. The model lacks the heat of the reactions
+# (the entropic term of Bernardi 1985), which grows as a pack empties: in 13 drawn cases the estimated lag was 0.55 to
+# 0.69 of the true one.
 LAG_SHARE = 0.25
 NEVER_SURE = 0.97  # largest total probability of the candidates: the cause may be none of them
 
@@ -34,7 +35,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class EffectClass:
-    """The effects that these records cannot tell apart, best first."""
+    """An EffectClass holds the effects that these records cannot tell apart, best first."""
 
     members: tuple[str, ...]
     probability: float
@@ -47,7 +48,7 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
     members = _with_second_names(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
-        if fit.candidate.name in members:  # a second name may have taken its seat
+        if fit.candidate.name in members:  # a second name may have taken its place
             parameters.update(intervals(fit))
     outside = [name for name in finding.outside if name not in members]
     return EffectClass(
@@ -68,7 +69,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 @dataclass(frozen=True, slots=True)
 class HiddenSize:
-    """The size of an effect that could be present unseen: its first quantity from `lo` to `hi` (95 % interval)."""
+    """HiddenSize says how large an effect could be unseen: its first quantity from `lo` to `hi` (95 % interval)."""
 
     name: str
     quantity: str

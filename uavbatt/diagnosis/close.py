@@ -40,7 +40,7 @@ ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class HeldOutErrors:
-    """Errors on held-out records; NaN where an error cannot be judged (no end of charge, no temperature).
+    """HeldOutErrors holds errors on held-out records; NaN if there is nothing to judge by (no end, no temperature).
 
     `coverage` is the share of forecasts whose interval holds the true remaining time.
     """
@@ -53,7 +53,7 @@ class HeldOutErrors:
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """The errors before and after the extension, and the names of the records that were held out."""
+    """ClosedLoop holds the errors before and after the extension, and the names of the held-out records."""
 
     before: HeldOutErrors
     after: HeldOutErrors

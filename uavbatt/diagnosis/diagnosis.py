@@ -1,11 +1,10 @@
 """From records and a battery file to a verdict: is an effect missing, which, how large, how sure.
 
-Everything is decided in one unit, the chi-square of records left out against the whitened error of the battery's own
-model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
-and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
-the file at its most probable value; then, or when a value differs from record to record or drifts within them, the
-verdict is `undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same
-throughout.
+Everything is decided in one unit: the chi-square of left-out records against the whitened error of the battery's own
+model, with allowance for errors that the file states (`worth`). The start of charge is settled first; then single
+effects and pairs are searched. The result is doubted if it leaves more than the file's own model does, also with every
+error of the file at its most probable value. Then, or if a value differs between records or drifts within them, the
+verdict is `undeclared_effect` and the effect is a suspect: it enters the model only if it is the same throughout.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from uavbatt.fitting.observed import ObservedRecord
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
-USUAL = 1.05  # what it leaves of the voltage of effect-free flights, at most
+USUAL = 1.05  # largest value that effect-free flights leave for the voltage
 FAR = 2.0  # times the error that the model is expected to have: no wander; 1.8 at most in healthy sets
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
@@ -46,7 +45,7 @@ class Diagnosis:
     """A diagnosis tells what was found, with the model before and after."""
 
     verdict: Verdict
-    classes: tuple[EffectClass, ...]  # what was found; where nothing was, what small effect may hide, if one does
+    classes: tuple[EffectClass, ...]  # what was found; if nothing, the small effect that may hide
     reasons: tuple[str, ...]
     problem: Problem
     before: Refit
@@ -57,7 +56,7 @@ class Diagnosis:
     left: Shape
     findings: tuple[FoundEffect, ...] = ()
     blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
-    # How much of each effect could be there without being seen; when none was found.
+    # The largest size of each effect that could be present unseen; filled if none was found.
     hidden: tuple[HiddenSize, ...] = ()
 
     @property
@@ -101,14 +100,14 @@ def diagnose(
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` takes two thirds of the time); wear_sd : how well the fade and the growth that `pack` has are
-    known, where it was met before. Raises NotEnoughData with the reason.
+    (`compiled.engine()` takes two thirds of the time); wear_sd : sd of the fade and of the growth of `pack`, if the
+    ledger knows the pack. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states, wear_sd)
     searched = _search_settled(problem, file, without, tell)
-    if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
+    if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
         full = replace(problem, evidence=problem.evidence.believed_full)
         searched = min(searched, _search_settled(full, file, without, tell), key=lambda s: s.best.total)
     problem, nothing, best, findings, singles = searched
@@ -119,7 +118,7 @@ def diagnose(
     found = tuple(class_of(problem, f, candidate_probability(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
-    if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
+    if not steady:  # a value that differs between records is a suspect, not for a battery file
         best = nothing
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     after = residual.residuals(problem.evidence, at_best(problem, best))
@@ -164,7 +163,7 @@ def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) ->
 def _search_settled(
     problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
 ) -> _SearchResult:
-    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
+    """Search for effects in records whose starts are settled; impossible and known effects are no candidates."""
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
@@ -193,7 +192,7 @@ class MisfitPerNumber(NamedTuple):
 def left_per_number(problem: Problem, best: Refit) -> MisfitPerNumber:
     """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
-    What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
+    The prior of those errors counts with the voltage: an error of six standard errors explains nothing.
     """
     problem = replace(problem, nuisances=problem.stated)
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
@@ -217,8 +216,8 @@ def per_number(problem: Problem, fit: Refit) -> MisfitPerNumber:
 def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
     """Return the voltage residual under load as a multiple of the error that the model is expected to have there.
 
-    Chi-square per number hardly sees what lasts for a whole flight, which is one error to it. A file that has not
-    learned where its error is large states one for all.
+    In the chi-square per number an error that lasts for a whole flight counts as a single error, and is hardly seen. A
+    file without a learned wander has one error for all charges.
     """
     if file.discrepancy.wander is None:
         return residual.size_V(after) / floor_V(file, problem)

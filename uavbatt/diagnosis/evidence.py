@@ -1,7 +1,7 @@
 """Flights and bench tests, made ready to be held against the model.
 
-What the best model of a battery leaves is no white noise: it wanders for a minute or more, most at both ends of the
-charge. So the misfit of a record is judged by the covariance
+The residual of the best model of a battery is no white noise: it stays alike for a minute or more, and is largest at
+both ends of the charge. So the misfit of a record is judged by the covariance
 
     K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)² + (charge error · dOCV/dsoc)²
 
@@ -33,11 +33,11 @@ from uavbatt.fitting.observed import ObservedRecord, Stack
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
-LEAST_CHANGE = 0.04  # of the current, relative, over the records
+LEAST_CHANGE = 0.04  # least relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
-COLD_DOUBLES_K = 6.0  # below the coldest flight that it was learned on, the model's error: healthy flights from 4 °C on
+COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 
@@ -109,7 +109,7 @@ def idle_A(evidence: Evidence) -> float:
 def check_records(records: list[ObservedRecord]) -> None:
     """Raise NotEnoughData, with the reason, when the records cannot tell effects apart."""
     if not records:
-        raise NotEnoughData("no record has a measured current: nothing can be traced without it")
+        raise NotEnoughData("no record has a measured current, and diagnose needs one")
     sizes = {(r.cells, round(r.capacity_Ah, 2)) for r in records}
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q in sorted(sizes))
@@ -120,10 +120,10 @@ def check_records(records: list[ObservedRecord]) -> None:
     if len(useful) < LEAST_RECORDS and (not useful or not np.isfinite(useful[0].ambient_C)):
         raise NotEnoughData(
             f"{len(useful)} of {len(records)} records last {SHORTEST_S:.0f} s and draw {LEAST_DRAWN:.0%} of the "
-            f"charge: expected at least {LEAST_RECORDS}, to show that what is found is the same in each"
+            f"charge: expected at least {LEAST_RECORDS}, to check that each shows the same"
         )
     if _change(useful) < LEAST_CHANGE:
-        raise NotEnoughData("the load is constant: expected changes of current, or nothing can be told apart")
+        raise NotEnoughData("the load is constant: expected changes of current, because causes look alike without them")
 
 
 def _long_enough(record: ObservedRecord) -> bool:
@@ -132,7 +132,7 @@ def _long_enough(record: ObservedRecord) -> bool:
 
 
 def _change(records: list[ObservedRecord]) -> float:
-    """Spread of the current under load over all records, rest left out, relative."""
+    """Return the relative spread of the current under load over all records, without the rows at rest."""
     loads = []
     for record in records:
         binned = observed.binned(record).current_A
@@ -171,7 +171,7 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
 
 
 def _wander(file: BatteryFile, cells: float) -> Wander:
-    """The file's wander for a pack of `cells`; in a file without one, its RMSE is the same at every charge."""
+    """Return the file's wander for a pack of `cells`; a file without one gets its RMSE at every charge."""
     left, share = file.discrepancy, cells / file.battery.cells_series
     known = left.wander
     if known is None:
@@ -194,14 +194,15 @@ def _wander(file: BatteryFile, cells: float) -> Wander:
 
 
 def _content(record: ObservedRecord) -> tuple[float, ...]:
-    """Order that depends on what was measured, not on names: sums of the columns."""
+    """Return a sort key that depends on the measurements, not on the names: sums of the columns."""
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
 
 def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Start of charge, its sd, and whether a rested record was clearly not full.
+    """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
-    Rested near full is full; rested lower is what the voltage says; under load a guess.
+    A pack that rests near full counts as full. If it rests lower, the voltage shows its charge. Under load the start is
+    a guess.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 0.05)
@@ -214,8 +215,8 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
 def noise_V(record: ObservedRecord, ohm: float) -> float:
     """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
 
-    From second differences of the voltage that the load's drop has been added to: what the load does to both cancels,
-    what one sensor says and the other does not is left, and that is what the model cannot follow.
+    It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
+    and noise of one sensor alone is left, which the model cannot follow.
     """
     spacing_s = float(np.median(np.diff(record.time_s)))
     if spacing_s > FAST_ROW_S:
@@ -231,7 +232,7 @@ def _voltage_whitener(
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
     drawn = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
-    # Learned on packs that took off full, what stands at a full charge may be of the charge or of the take-off.
+    # It was learned on packs that took off full: an error at full charge may come from the charge or from the take-off.
     log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
     wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
     wandering_V *= _cold(known, stack.start_temp_C[j])
@@ -244,10 +245,10 @@ def _voltage_whitener(
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
-    """Error of the voltage [V] at each charge of the table that comes of the capacity's own.
+    """Return the error of the voltage [V] at each charge of the table that an error of the capacity causes.
 
-    Where a pack runs empty a hundredth of its capacity is half a volt: a flight that goes deeper than those which the
-    wander was learned on would bend everything else to meet it.
+    Near empty a hundredth of the capacity changes the voltage by half a volt. Without this error, a flight that goes
+    deeper than those the wander was learned on would distort all other values.
     """
     soc, ocv_V = ocv_soc
     out: Array = capacity_sd(file) * (1.0 - soc) * cells * np.gradient(ocv_V, soc)
@@ -255,7 +256,7 @@ def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Arr
 
 
 def _cold(known: Wander, start_C: float) -> float:
-    """Factor of the model's error for a flight that begins colder than any that it was learned on."""
+    """Return the factor on the model's error for a flight that begins colder than all flights it was learned on."""
     if known.coldest_C is None or not np.isfinite(start_C):
         return 1.0
     return float(2.0 ** (max(known.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
@@ -277,7 +278,7 @@ def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) 
 
 
 def _shifted(records: list[ObservedRecord], stack: Stack) -> Array:
-    """The current `SHIFTS_S` later, averaged like the record itself."""
+    """Return the current `SHIFTS_S` later, averaged in the same way as the record."""
     out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
     for j, record in enumerate(records):
         bin_s = observed.BIN_S if np.median(np.diff(record.time_s)) < 0.9 * observed.BIN_S else 0.0

@@ -33,7 +33,7 @@ CAN_BEGIN = (
     "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset", "temperature_lag",
     "current_delay", "airflow_cooling",
 )  # fmt: skip
-EARNED = 12.0  # the best of many courses: scripts/diagnose_cases_healthy.py
+EARNED = 12.0  # least worth of the best of many courses (scripts/diagnose_cases_healthy.py)
 EARNED_ONCE = 36.0  # for an effect in one flight only, which may be a peculiarity of that flight
 GROWS = 6.0  # chi-square by which a growing effect must fit better than one that begins at once
 AS_GOOD = 6.0  # chi-square difference within which another first flight is as good
@@ -44,13 +44,13 @@ LEAST_FLIGHTS = 2
 
 @dataclass(frozen=True, slots=True)
 class FollowedEffect:
-    """One effect with its course; flights are counted from 0 in order of time."""
+    """A FollowedEffect is one effect with its course; flights are counted from 0 in order of time."""
 
     found: EffectClass
     course: Course
-    earliest: int  # the first and the last flight at which it may have begun as well
+    earliest: int  # the first and the last flight at which it may also have begun
     latest: int
-    values: tuple[Interval, ...]  # of each flight by itself, of the likeliest member's first quantity
+    values: tuple[Interval, ...]  # first quantity of the likeliest member, from each flight alone
     quantity: str
     off: float  # its value in the battery file
     worth: float
@@ -58,7 +58,7 @@ class FollowedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Follow:
-    """The flights in order of time, the verdict, and the effects that were found."""
+    """Follow holds the flights in order of time, the verdict, and the effects that were found."""
 
     verdict: Verdict
     flights: tuple[str, ...]
@@ -110,7 +110,7 @@ def follow(
 
 
 class _CourseFit(NamedTuple):
-    """The refit of one effect on one course."""
+    """_CourseFit holds the refit of one effect on one course."""
 
     option: Candidate
     course: Course
@@ -118,7 +118,7 @@ class _CourseFit(NamedTuple):
 
 
 class _Trace(NamedTuple):
-    """An effect that was found, with its course and the other flights at which it may have begun."""
+    """_Trace holds a found effect with its course, and the other flights at which it may have begun."""
 
     effect: FoundEffect
     course: Course

@@ -18,8 +18,8 @@ from uavbatt.diagnosis.rivals import RIVAL_SHARE, family, related
 from uavbatt.diagnosis.trial import EARNED, FURTHER_TURNS, Trial, likeliness
 from uavbatt.diagnosis.worth import at_bound, is_steady, left_out_chi2, worth
 
-EARNED_BESIDE = 12.0  # the lesser of two, where two leave EARNED_TOGETHER less; what leaves more may be worth less
-EARNED_IN_PART = 24.0  # each of two, beside a start in part
+EARNED_BESIDE = 12.0  # least worth of the lesser of two, if two leave EARNED_TOGETHER less
+EARNED_IN_PART = 24.0  # least worth of each of two, beside a start in part
 EARNED_TOGETHER = 36.0  # chi-square by which two, or one that drifts, leave less than the best single effect
 SEEDS, SEEDS_IN_ALL = 4, 7  # singles that pairs are built on: by what they explain, and with the other families
 TRIED = 12  # pairs that are weighed against each other
@@ -27,7 +27,7 @@ TRIED = 12  # pairs that are weighed against each other
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """The refit of two effects, with the families and the likelihoods of all pairs that passed."""
+    """Pair holds the refit of two effects, with the families and the likelihoods of all pairs that passed."""
 
     fit: Refit
     kinds: tuple[frozenset[frozenset[str]], ...]
@@ -74,7 +74,7 @@ def _seeds(singles: Trial) -> list[Refit]:
 
 
 def _earning_pairs(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
-    """The pairs of which each effect earns its place beside the other, by chi-square."""
+    """Return, by chi-square, the pairs in which each effect is worth enough beside the other."""
     tried: list[Candidate] = []
     starts: list[Refit] = []
     for seed in _seeds(singles):

@@ -39,7 +39,7 @@ class TableErrors:
 
 
 def _hats(soc: Array, knots: Array) -> Array:
-    """Linear interpolation weights [..., knots], constant beyond the ends."""
+    """Return the weights of linear interpolation [..., knots], constant beyond the ends."""
     inside = np.clip(soc, knots[0], knots[-1])
     right = np.clip(np.searchsorted(knots, inside), 1, knots.size - 1)
     share = (inside - knots[right - 1]) / (knots[right] - knots[right - 1])
@@ -51,22 +51,20 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """The data of all refits: the battery file's pack, the records, the values of the quantities (`base`)."""
+    """Problem holds the data of all refits: the file's pack, the records, the values of the quantities (`base`)."""
 
     pack: Pack
     evidence: Evidence
     base: Array
     nuisances: tuple[FreeQuantity, ...]
-    stated: tuple[
-        FreeQuantity, ...
-    ]  # the same, but no larger than the file states: errors that may explain a residual away
+    stated: tuple[FreeQuantity, ...]  # the same, but no larger than the file states
     tables: TableErrors | None = None
     states: openloop.States = openloop.states  # simulates the records; the command hands in the compiled function
 
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """One candidate at its optimum: u [records, columns] in the solver's space, nuisances v [records, 3]."""
+    """Refit holds one candidate at its optimum: u [records, columns] of the solver, nuisances v [records, 3]."""
 
     candidate: Candidate
     columns: tuple[FreeQuantity, ...]  # shared errors of the file, then the candidate's quantities

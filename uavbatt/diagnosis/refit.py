@@ -28,7 +28,7 @@ CONVERGED = 0.01  # smallest chi-square that a step must be expected to gain
 
 
 class _Linearised(NamedTuple):
-    """Candidates linearised at u and v, in some columns of u and in v."""
+    """_Linearised holds candidates linearised at u and v, in some columns of u and in v."""
 
     r: Array  # [C, R, M]
     chi2: Array  # [C, R]

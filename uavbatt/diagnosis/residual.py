@@ -21,7 +21,7 @@ PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
+    """Residual holds measured minus modelled voltage [V] and temperature [K] at the measured rows of one record.
 
     The other columns are variables that the two may depend on; `flatness` is the weight of each row, `rest` marks the
     rows at rest.
@@ -88,7 +88,7 @@ def size_K(found: list[Residual]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A residual goes with one `variable`, which explains `share` of its mean square, and lasts `time_scale_s` [s]."""
+    """Shape names the `variable` a residual goes with, its `share` of the mean square, and how long it lasts [s]."""
 
     variable: str
     share: float

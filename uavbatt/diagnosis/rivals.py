@@ -24,7 +24,7 @@ TWIN_SHARE = 0.1  # share of the explained chi-square: two names of one effect d
 RIVAL_SHARE = 1.0 / 3.0  # of the best effect's worth or likelihood; an effect below this share is no rival
 TEMPER = 2.0  # a sigma of the model's error counts half, because the error is not normally distributed
 FARTHEST = 30.0  # largest number of tempered sigmas: no weight becomes 0, so that weights can be divided by their sum
-# Effects of one family look much alike in a record; two of one family, added together, only cancel each other.
+# Effects of one family look alike in a record; two of one family, refitted together, only cancel each other.
 FAMILIES = (
     {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
     {"current_offset", "unmetered_load"},

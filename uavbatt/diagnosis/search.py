@@ -20,19 +20,19 @@ from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
 from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
 from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, worth
 
-EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
-SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a model that is doubted
-SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
+EVEN = 6.0  # an effect worth no more is a suspect: it may well be chance
+SUSPECT = 0.4  # highest probability of a suspect, and under a doubted model
+SEATED = 0.95  # share of the rivals' probability that a class should hold
 
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """A found effect: the refits (`members`) that the records cannot tell apart, best first, and their worth."""
+    """FoundEffect holds the refits (`members`) that the records cannot tell apart, best first, and their worth."""
 
     members: tuple[Refit, ...]
     worth: Worth
     outside: tuple[str, ...]  # the other rivals, in order
-    probability: float  # of the cause being among the members, if it is one of the candidates and not chance
+    probability: float  # that the cause is a member, if it is a candidate and not chance
     drift: Refit | None = None  # the refit in which the effect drifts within each record, if that explains much more
 
     @property
@@ -55,8 +55,8 @@ def search(
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """Search for the missing effect, or two; return the best model, what was found and the trial of single effects.
 
-    What was found comes with most evidence first. explains : says of a model if it leaves no more than the
-    file's own; then no pair is built on a suspect.
+    The found effects come in order of evidence. explains : returns True if a model leaves no more than the file's own;
+    then no pair is built on a suspect.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -68,7 +68,7 @@ def search(
         best = found[0].members[0]
     found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
     drift = found[0].drift if found else None
-    # Nothing, or a suspect: no ground to build a pair on.
+    # Nothing was found, or only a suspect: no pair is built on it.
     if drift is None and singles.largest_worth < EVEN and explains(best):
         return best, found, singles
     tell("pairs of effects")
@@ -84,7 +84,7 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
     both = []
     for known in (pair.fit.with_effects_swapped, pair.fit):
         alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
-        alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # else all get the credit
+        alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # so that it converges
         beside = trial(problem, alone, options, FURTHER_TURNS, known)
         if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
             return []

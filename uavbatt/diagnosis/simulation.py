@@ -24,7 +24,7 @@ MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness
 
 
 class OwnValues(NamedTuple):
-    """The start soc and the shifts [K] of start and ambient temperature of each record, [variants, records]."""
+    """OwnValues holds the start soc and the shifts [K] of start and air of each record, [variants, records]."""
 
     soc: Array
     start_K: Array
@@ -32,7 +32,7 @@ class OwnValues(NamedTuple):
 
 
 class Simulated(NamedTuple):
-    """The simulated readings of the sensors, [rows, variants, records], and the soc for reports."""
+    """Simulated holds the simulated readings of the sensors, [rows, variants, records], and the soc for reports."""
 
     voltage_V: Array
     temp_C: Array

@@ -13,19 +13,19 @@ from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL_SHARE, related, same, weights
 from uavbatt.diagnosis.worth import Worth, at_bound, worth
 
-EARNED = 3.0  # more than chance gave in 140 effect-free sets, 2.84; half of it: one healthy set in twenty
+EARNED = 3.0  # chance gave at most 2.84 in 140 effect-free sets, and half of EARNED in one of 20
 RESIZED = 0.25  # prior of another size of an effect in the file, relative to an effect that the file lacks
 FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The worth of each single effect beside the effects of the model."""
+    """Trial holds the worth of each single effect beside the effects of the model."""
 
     before: Refit
-    fits: tuple[Refit, ...]  # by chi-square
+    fits: tuple[Refit, ...]  # in order of chi-square
     worths: tuple[Worth, ...]
-    least: float = 0.5 * EARNED  # that a rival is worth
+    least: float = 0.5 * EARNED  # least worth of a rival
 
     @property
     def largest_worth(self) -> float:

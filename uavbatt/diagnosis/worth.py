@@ -37,13 +37,13 @@ class Constancy:
     file alone can cause if that is larger.
     """
 
-    values: Array  # each record's own
+    values: Array  # the value of each record
     spread: float
 
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """The evidence for one effect of a refit, compared with the model without it."""
+    """Worth holds the evidence for one effect of a refit, compared with the model without it."""
 
     gains: Array  # chi-square saved on each record with the values from the other records
     most: float  # chi-square saved with no record left out; the worth cannot be more than that
@@ -73,7 +73,7 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
     """Return the worth of an effect of the refit over `before`, which lacks it. The default is the last one added."""
     name = name or fit.candidate.name
     gains = left_out_chi2(before) - left_out_chi2(fit)
-    if name == "initial_charge":  # the saving of each record's own start says nothing about the shift that all share
+    if name == "initial_charge":  # a start of its own in each record says nothing about a common shift
         k = fit.quantities[fit.candidate.slice_of(name)][0]
         gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
     return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name))

@@ -70,7 +70,7 @@ NOT_BEGUN = FilterResult(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
-    """The filter takes in the samples of one battery and holds the belief about it.
+    """SocFilter takes in the samples of one battery and holds the belief about it.
 
     The belief is a sum of Gaussians, one for each capacity that the pack may have (`battery.capacity_prior`): each is
     an extended Kalman filter of its own, and the readings weigh them.
@@ -147,8 +147,8 @@ def _results(pack: Pack, rows: list[FilteredRow], last: FilterResult) -> list[Fi
 def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
     """Return the means and standard deviations that an estimate shows of a belief.
 
-    empty_soc_sd : what is not known of the charge that a make leaves in its cells, as a share of what was drawn. The
-    filter counts down to the empty of the battery file, which no voltage tells from that of the pack.
+    empty_soc_sd : uncertainty of the charge that a make leaves in its cells, as a share of the charge drawn. The filter
+    counts down to the empty of the battery file; no voltage shows how far that of the pack differs from it.
     """
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)

@@ -22,7 +22,7 @@ from uavbatt.battery.state_space import SIZE
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
-# Steps of the difference quotients: far above rounding, far below any curvature of the model.
+# Steps of the difference quotients: much larger than rounding, much smaller than any curvature of the model.
 NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-4])
 
 Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]

@@ -55,11 +55,11 @@ FAR_OFF = Notice(
 )
 SMALL = Notice("this pack holds less than stated: aged or smaller, or a current sensor that reads low", Kind.SMALL_PACK)
 LARGE = Notice("this pack holds more than stated: a larger one, or a current sensor that reads high", Kind.LARGE_PACK)
-MANY_OHMS = Notice("this pack has the ohms of a far smaller one than stated, or a bad contact", Kind.MANY_OHMS)
+MANY_OHMS = Notice("this pack has the resistance of a far smaller one than stated, or a bad contact", Kind.MANY_OHMS)
 
 
 class Innovations(NamedTuple):
-    """The mean of the normalised innovation squared over about a minute.
+    """Innovations holds the mean of the normalised innovation squared over about a minute.
 
     high_since_s : the time since which it is too large [s], NaN while it is not; time_s : time of the last block [s].
     """
@@ -79,7 +79,7 @@ class Innovations(NamedTuple):
 
 
 class Monitor(NamedTuple):
-    """The readings seen so far, and the doubts and refusals that follow from them."""
+    """Monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
 
     readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
@@ -100,7 +100,7 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         innovations, off_sds, reaction_V = self.innovations, self.off_sds, self.reaction_V
-        if math.isfinite(estimate.nis):  # a block has been closed: these change only then
+        if math.isfinite(estimate.nis):  # these change only when a block is closed
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
             reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
         stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)

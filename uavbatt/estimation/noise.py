@@ -68,7 +68,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class FirstBelief(NamedTuple):
-    """The first belief about a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """FirstBelief holds a cell's state at the start, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array
@@ -99,7 +99,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
         read = initial_state.charge_at(cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
     mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
-    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage has some information, however steep the drop
+    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however large the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return FirstBelief(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 
@@ -125,8 +125,8 @@ def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float,
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
     """Return the variances of the process noise Q for a step of `dt_s` [s], [9] or [9, members] as `mean` is.
 
-    mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap nothing says that the load
-    went on, which counts as well.
+    mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap it is not known if the load
+    went on; this uncertainty is included.
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(mean.shape)
@@ -161,7 +161,7 @@ def rested_variance(pack: Pack, soc: Number) -> Number:
 
 
 class Air(NamedTuple):
-    """The temperature of the air around the pack [°C], its apparent error, and if it is known to be wrong.
+    """Air holds the temperature of the air around the pack [°C], its apparent error, and if it is known to be wrong.
 
     off_sds : the excess of the pack's temperature over the expected one, in standard deviations, smoothed; NaN if the
     user stated the temperature of the air, which is then used as it is.

@@ -22,27 +22,27 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.recursion import Innovation
 from uavbatt.records import NAN, Sample
 
-# Rows that show another pack, and how long: a current that comes 0.3 s late shows one at every take-off, at 10 Hz.
+# Rows that must show another pack, and how long: a current that comes 0.3 s late shows one at each take-off at 10 Hz.
 RESTED_C_RATE, SWAP_ROWS, SWAP_LASTS_S = 0.15, 3, 1.9
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
-# A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
+# A pack that has rested for SLOWLY_AFTER_S rises by at most 1 mV a second; a worn pack in the cold by 3 mV.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
-NO_PACK_CELL_V = 2.0  # the autopilot has another supply
+NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
-FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # below it the ground may draw; the first rows after a silence show whose pack it is
+FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
 class Bounds(NamedTuple):
-    """The lowest and highest voltage that the believed pack can show at rest, per cell [V]."""
+    """Bounds holds the lowest and the highest voltage that the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
 
 
 class Silence(NamedTuple):
-    """The data that tell the old pack from another one after a silence that ended at `over_s` [s].
+    """Silence holds the data that tell the old pack from another one after a silence that ended at `over_s` [s].
 
     counted_Ah : the autopilot's counter before it [Ah]; may_fly_on : it is short and began under a load that flies, and
     the first row after it is as the old pack would be.
@@ -63,7 +63,7 @@ class Silence(NamedTuple):
 
 
 class SwapWatch(NamedTuple):
-    """The last row with a pack in the aircraft, and the number of consecutive rows that have shown another pack.
+    """SwapWatch holds the last row with a pack, and how many rows in turn have shown another pack.
 
     seen_s, current_A, consumed_Ah, belief : time [s], current [A], counter [Ah] and belief of that row.
     """
@@ -73,10 +73,10 @@ class SwapWatch(NamedTuple):
     belief: Belief | None = None
     row_s: float = NAN  # the usual time between two rows
     consumed_Ah: float = NAN
-    silence: Silence | None = None  # until the pack is loaded
+    silence: Silence | None = None  # kept until the pack is loaded
     rows: int = 0
-    other_since_s: float = NAN  # the first of these rows
-    rested_V: float = NAN  # of a cell, over the last rested rows of the pack that is believed in
+    other_since_s: float = NAN  # time of the first of these rows
+    rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
     rested_since_s: float = NAN
 
     @property

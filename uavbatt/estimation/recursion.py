@@ -28,9 +28,9 @@ from uavbatt.estimation.kalman import Condition, Moments, jacobian
 from uavbatt.records import Sample
 
 GATE = 16.0
-# Of the surprise, as NIS: 1.7 standard deviations. With two the last seconds are known later. With one, four fifths of
-# what a noisy sensor says lay beyond, and a generic battery was too sure of its capacity: 2.1 sds off where the mean
-# NIS was above 0.6, 0.7 where below 0.3.
+# Limit of the NIS above which a reading is believed less: 1.7 standard deviations. With 2, the last seconds of a flight
+# are known later. With 1, four fifths of the readings of a noisy sensor were above it, and a generic battery was too
+# sure of its capacity: it was 2.1 sds off where the mean NIS was above 0.6, and 0.7 where it was below 0.3.
 WITHIN_NOISE = 3.0
 FULL_SOC_SD = 0.01
 LEAST_WEIGHT = 1e-5
@@ -40,13 +40,13 @@ ROOM_TEMP_C = 22.0
 class FilterState(NamedTuple):
     """FilterState holds the state of the filter between two rows."""
 
-    moments: Moments  # after the last block
+    moments: Moments  # as after the last block
     time_s: float  # of the last row
     current_A: float  # of the last row
     block_A: float  # mean of the last block
-    block: Block  # the open one
+    block: Block  # the open block
     air: noise.Air
-    since_load_s: float = math.nan  # before the first load there is nothing to settle
+    since_load_s: float = math.nan  # NaN before the first load
 
 
 class Innovation(NamedTuple):
@@ -214,7 +214,7 @@ def _update(
         noise_R[:, 1, 1] = pack.temperature_sd_K**2
     spread = observation @ at.P @ np.swapaxes(observation, 1, 2) + noise_R
     nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
-    # Far off (NIS above GATE): believe it less, so that its normalised innovation is GATE.
+    # Far off (NIS above GATE): believe the reading less, so that its normalised innovation is GATE.
     doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
     x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
     log_weight = at.log_weight

@@ -12,7 +12,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.records import Sample
 
 NOTICED_WEAR, WEAR_IS_SURE = 0.15, 2.5
-BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air that it was tested in
+BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air of its test
 
 
 def remarks(
@@ -26,7 +26,7 @@ def remarks(
     validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
     if validated and math.isfinite(core_C):
         low_C, high_C = min(validated) - BELOW_VALIDATED_K, max(validated) + ABOVE_VALIDATED_K
-        if not low_C <= core_C <= high_C:  # no number that changes from row to row: it is said once
+        if not low_C <= core_C <= high_C:  # without a number that changes, so that it is said once
             side = f"below {low_C:g}" if core_C < low_C else f"above {high_C:g}"
             found.append(f"pack {side} °C: outside the validated range")
     if not math.isfinite(sample.temp_C):
@@ -34,7 +34,9 @@ def remarks(
     if pack.sag_compensated:
         found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
     if is_metered and battery.is_measured and is_worn(known, battery):
-        found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
+        found.append(
+            "this pack has more resistance than its type: aged, or colder than it says; less charge is expected"
+        )
     return tuple(found)
 
 

@@ -21,7 +21,7 @@ DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35
 
 
 class LastChange(NamedTuple):
-    """One reading since its last change.
+    """LastChange follows one reading since its last change.
 
     value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
     so far; habit : the share of rows in which it changed.
@@ -48,7 +48,7 @@ class LastChange(NamedTuple):
 
 
 class SensorChanges(NamedTuple):
-    """Voltage and current since their last changes, the charge drawn since, and the turns of the voltage."""
+    """SensorChanges follows voltage and current since their last changes, drawn charge, and turns of the voltage."""
 
     time_s: float = math.nan
     voltage: LastChange = LastChange()

@@ -96,7 +96,7 @@ def discrepancy(stack: Stack, trajectory: Trajectory, cells: int, *, held_out: b
 
 
 def _correlation_time(error: Array, time_s: Array) -> float:
-    """Lag [s] at which the autocorrelation falls below 1/e of its value at lag one (without the white part)."""
+    """Return the lag [s] at which the autocorrelation is below 1/e of that at lag one (without the white part)."""
     centred = error - np.mean(error)
     spectrum = np.fft.rfft(centred, 2 * len(centred))
     correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: len(centred)]

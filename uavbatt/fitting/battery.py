@@ -22,10 +22,10 @@ from uavbatt.fitting.solve import BatteryFit, OwnPrior
 from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt
 from uavbatt.records import Flight, PackFacts
 
-# Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
+# Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
-FAR_SDS = 2.5  # of the prior: real packs and simulated ones stay within 2.2, a lithium-ion pack is at 2.9
+FAR_SDS = 2.5  # sds of the prior: LiPo packs stay within 2.2, a lithium-ion pack is at 2.9
 ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s")  # heat flows in many ways
 
 
@@ -37,7 +37,7 @@ class RecordedPack:
     cells: int
     capacity_Ah: float
     cutoff_V: float
-    notices: tuple[str, ...] = ()  # what the vehicles say and was not believed, or is odd
+    notices: tuple[str, ...] = ()  # statements of the vehicles that are odd or not believed
 
     @property
     def pack_size(self) -> PackSize:

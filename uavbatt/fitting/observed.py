@@ -22,7 +22,7 @@ from uavbatt.telemetry.cleaning import Cleaner
 from uavbatt.telemetry.plausibility import BOARD_START_C
 
 BIN_S = 5.0
-# The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
+# The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0
 LEAST_ROWS, LEAST_BINS = 10, 3
@@ -202,7 +202,7 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
     time_s = padded("time_s")
     resting = np.abs(padded("current_A")) < IDLE_C_RATE * np.array([r.capacity_Ah for r in records])
     weight = np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0))
-    weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage tells the OCV where it starts
+    weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage shows the OCV at the start
     real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
     cells = np.array([float(r.cells) for r in records])
     slope = np.where(resting, 0.0, padded("slope"))
@@ -236,7 +236,7 @@ def _start_temp(record: ObservedRecord) -> float:
 
 
 def _split(record: ObservedRecord) -> dict[str, Array]:
-    """Rows and the steps between them; `real` is 1 at measured rows."""
+    """Return the rows with steps filled in between them; `real` is 1 at measured rows."""
     time_s = record.time_s
     spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])
     pieces = [np.array([time_s[0]])]

@@ -22,9 +22,9 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
-# At the knee, below a tenth of the charge, the fall of the OCV from knot to knot varies less between makes than its
-# level. Flights that end at a few C do not reach the last hundredths: without this prior a fit made the OCV flat there,
-# and the time too long for packs that were emptied deeper, or more slowly, than on those flights.
+# At the knee, below a tenth of the charge, makes differ less in the fall of the OCV from knot to knot than in its
+# level. Flights that end at a few C do not reach the last hundredths of the charge. Without this prior a fit made the
+# OCV flat there, and the time too long for packs that were emptied deeper or more slowly than on those flights.
 KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
 
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
@@ -65,7 +65,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.na
     shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
     level = Slot("r0_ohmAh", RESISTANCE_OHMAH, 0.8, log=True)
     quantities = [
-        Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # what a battery file may hold
+        Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # within the bounds of a battery file
         for name in effects
         for q in EFFECTS[name].quantities
         if q.prior_sd > 0.0 and q.fitted

@@ -92,7 +92,7 @@ def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Unknowns:
-    """One vector v of standard normal numbers: first the shared slots' u, then each record's own three."""
+    """_Unknowns is one vector v of standard normal numbers: the shared slots' u, then three of each record."""
 
     stack: Stack
     slots: tuple[Slot, ...]
@@ -106,12 +106,12 @@ class _Unknowns:
         return len(self.slots)
 
     def values(self, v: Array) -> tuple[Array, Array]:
-        """The slots' values [variants, slots] and each record's own [variants, records, 3] of v [variants, all]."""
+        """Return the slots' values [variants, slots] and the records' own [variants, records, 3] of v."""
         own = v[:, self.shared :].reshape(-1, *self.own_sd.shape)
         return prior.values(self.slots, v[:, : self.shared]), self.own_mean + self.own_sd * own
 
     def evaluate(self, v: Array) -> tuple[Array, Array]:
-        """The residuals [variants, rows·2, records] of vectors v, and of the OCV's shape [variants, differences]."""
+        """Return the residuals [variants, rows·2, records] of v, and the OCV shape's [variants, differences]."""
         x, own = self.values(v)
         shown = run(self.stack, self.slots, self.effects, x, own)
         shape = prior.monotonicity_penalty(self.slots, x)
@@ -142,7 +142,7 @@ class _Unknowns:
 
 
 def _own_sd(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> Array:
-    """The prior sds [records, 3] of what each record has of its own."""
+    """Return the prior sds [records, 3] of each record's own unknowns."""
     given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
     pairs = zip(given, stack.rested, strict=True)
     return np.array(

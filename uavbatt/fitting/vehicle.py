@@ -72,11 +72,11 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows, ground_s, before_s = [], 0.0, math.inf
-    stated_s = capacity_since_s(battery, options, flight.facts)  # what is said late of the pack held from the start
+    stated_s = capacity_since_s(battery, options, flight.facts)  # a late statement holds from the start
     for sample in flight.samples:
         estimator.update_facts(flight.facts_at(max(sample.time_s, stated_s)))
         estimate, _ = estimator.step(sample)
-        if sample.armed is False:  # between two flights of a log: no forecast counts that time
+        if sample.armed is False:  # the time between two flights of a log does not count
             ground_s += max(estimate.time_s - before_s, 0.0)
         elif math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
             power_W = float(true_power(sensors, estimate.voltage_V, estimate.current_A))
@@ -99,7 +99,7 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
 
 
 def _airborne(watts: Array) -> tuple[int, int]:
-    """First and last row of the flight: from half to `LANDING_SHARE` of the power that is usual in the air."""
+    """Return the first and the last row with more than `LANDING_SHARE` of the power that is usual in the air."""
     usual_W = float(np.median(watts[watts > 0.3 * np.percentile(watts, 90)]))
     high = np.flatnonzero(watts > LANDING_SHARE * usual_W)
     return int(high[0]), int(high[-1])

@@ -32,7 +32,7 @@ LEAST_K, LEAST_NOISE_K = 0.15, 0.02
 USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
 USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
 DIGITS = 4
-PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # of logarithms
+PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # sds of logarithms
 NUDGE = 1e-3
 
 
@@ -76,7 +76,7 @@ def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array)
 
 
 def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool) -> Array:
-    """exp of the most probable (ln sd at SOC, ln tau, ln noise); one sd for all charges without `neighbours`."""
+    """Return exp of the most probable (ln sd at SOC, ln tau, ln noise); without `neighbours` one sd for all charges."""
 
     def unpacked(u: Array) -> tuple[Array, Array, Array]:
         sd = u[:, :-2] if neighbours else np.repeat(u[:, :1], SOC.size, axis=1)

@@ -45,8 +45,8 @@ class Cluster(Generic[Row]):
             row: Row = future.result()
         except Exception as error:
             if self._client.status != "running":
-                raise UavbattError("the cluster went away: run again, what is done stays done") from None
-            reason = f"the worker died on it, of too little memory perhaps ({type(error).__name__})"
+                raise UavbattError("lost the cluster: run again, the rows that are done are kept") from None
+            reason = f"the worker ended while it read this log, perhaps for lack of memory ({type(error).__name__})"
             return errand.lost(errand.log, reason)
         return row
 

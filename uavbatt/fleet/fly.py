@@ -33,7 +33,7 @@ MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05
 OPTIMISTIC_S = 60.0
 RESISTANCE_GROWN = 1.4
-MANY_FLIGHTS = 20  # of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
+MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def fly_log(log: LogFile, job: Job, met: RememberedPack = NOT_MET) -> FlightRow:
         return bad_row(log, job, _reason(error, log), LOST)
     except UavbattError as error:
         reason = _reason(error, log)
-    except Exception as error:  # a row with its reason, whatever it is: one log must not end the others
+    except Exception as error:  # the reason goes into the row: one log must not end the run
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
     return bad_row(log, job, reason)
 
@@ -87,14 +87,14 @@ def _reason(error: UavbattError, log: LogFile) -> str:
 def read(log: LogFile, job: Job) -> Flight:
     """Read the flight of a log, as the job asks for it.
 
-    Raises BadInput when it is none, Unreadable without its bytes.
+    Raises BadInput if it is no log, Unreadable if its bytes cannot be read.
     """
     name, data = as_log(log.name, log.read())
     return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)
 
 
 def bad_row(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
-    """Return the row of a log that could not be flown."""
+    """Return the row of a log that could not be replayed."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
@@ -198,7 +198,7 @@ def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
         found.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
     if row.mean_nis > HIGH_NIS:
         found.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
-    # a generic or edited file is no measure: packs differ by more than that when new
+    # a generic or edited file tells nothing here: new packs differ by more than that
     is_measured = row.certificate not in ("generic", "edited")
     if is_measured and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
         found.append(f"resistance {row.resistance_scale:.2f} times the battery file's")

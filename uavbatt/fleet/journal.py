@@ -63,6 +63,7 @@ class Journal(Generic[Row]):
         self._keys = keys
         self._row_of: Callable[[Mapping[str, Any]], Row] = row_of
         self._places: dict[int, int] = {}
+        self._lost: set[int] = set()  # logs of an earlier run that could not be read then: tried again
         self.dropped = 0  # damaged rows
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -79,14 +80,15 @@ class Journal(Generic[Row]):
         self._file.close()
 
     def __contains__(self, number: int) -> bool:
-        return number in self._places
+        return number in self._places and number not in self._lost
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._places) - len(self._lost)
 
     def add(self, number: int, key: str, row: Row) -> None:
         """Keep the row of log `number`; it is on disk when this returns."""
         self._places[number] = self._file.seek(0, os.SEEK_END)
+        self._lost.discard(number)
         line = json.dumps({"key": key, **row.plain()}, allow_nan=False)  # ASCII: a file name may be no text at all
         self._file.write(line.encode() + b"\n")
         self._file.flush()
@@ -102,41 +104,46 @@ class Journal(Generic[Row]):
         self._file.seek(0)
         place, end, is_sound = 0, 0, True
         for line in self._file:
-            number = self._number(line)
+            number, is_lost = self._number(line)
             if number is not None and number >= 0:
                 self._places[number] = place
+                (self._lost.add if is_lost else self._lost.discard)(number)
             place += len(line)
             if line.endswith(b"\n"):
                 end, is_sound = place, is_sound and number is not None
         self._file.truncate(end)
         self._places = {number: at for number, at in self._places.items() if at < end}
+        self._lost &= self._places.keys()
         return is_sound
 
-    def _number(self, line: bytes) -> int | None:
-        """Return the number of a line's log in this run; -1 for a row of another run, None for a damaged line."""
+    def _number(self, line: bytes) -> tuple[int | None, bool]:
+        """Return the number of a line's log in this run, and True if the log could not be read.
+
+        The number is -1 for a row of another run, None for a damaged line.
+        """
         said = _parsed(line)
         if not isinstance(said.get("key"), str):
-            return None
+            return None, False
         number = self._keys.get(said["key"])
         if number is None:
-            return -1  # of another run, perhaps by another version
+            return -1, False  # of another run, perhaps by another version
         try:
-            return number if self._row_of(said).status != LOST else -1
+            return number, self._row_of(said).status == LOST
         except ValueError:
-            return None
+            return None, False
 
     def _heal(self) -> None:
         """Write the file anew without its damaged rows."""
         self._file.seek(0)
         with atomic_write(self.path, "wb") as healed:
             for line in self._file:
-                if self._number(line) is None:
+                if self._number(line)[0] is None:
                     self.dropped += 1
                 else:
                     healed.write(line)
         self._file.close()
         self._file = self.path.open("a+b")
-        self._places = {}
+        self._places, self._lost = {}, set()
         self._index()
 
     def tidy(self) -> None:

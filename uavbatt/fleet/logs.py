@@ -16,9 +16,10 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from uavbatt.errors import BadInput, UsageError
+from uavbatt.telemetry.read import MOST_BYTES
 
 SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv", ".zip")
-JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # what a fleet's own folder holds: no logs
+JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # files of a fleet's output folder, which are no logs
 LESSONS = "lessons.jsonl"
 _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
 
@@ -36,7 +37,9 @@ class LogFile:
     changed: str
 
     def read(self) -> bytes:
-        """Return the bytes. Raises Unreadable when they cannot be read."""
+        """Return the bytes. Raises Unreadable when they cannot be read, BadInput for more than any log has."""
+        if self.size > MOST_BYTES:
+            raise BadInput(self.name, "", f"a log, found a file of more than {MOST_BYTES >> 30} GiB")
         try:
             return _read_bytes(self.name) if "://" in self.name else Path(self.name).read_bytes()
         except Exception as error:  # a remote file system raises whatever its library raises
@@ -82,7 +85,7 @@ def _local(pattern: str) -> Iterator[LogFile]:
 
 
 def _is_log(file: Path) -> bool:
-    """True for the suffix of a log, behind which there may be that of gzip."""
+    """Return True if the name ends as that of a log, packed by gzip or not."""
     name = PurePath(file.name.lower().removesuffix(".gz"))
     return name.suffix in SUFFIXES
 
@@ -107,7 +110,7 @@ def _remote(pattern: str) -> Iterator[LogFile]:
 
 
 def _address(pattern: str, file: Any) -> str:
-    """The whole address of one file of a pattern; inside an archive, the archive's address stays behind it."""
+    """Return the whole address of one file of a pattern; in an archive the archive's address stays behind it."""
     outer = pattern.partition("::")[2]
     if outer:
         return f"{pattern.partition('://')[0]}://{file.path}::{outer}"

@@ -24,12 +24,13 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Generic, NamedTuple
 
-from uavbatt.errors import UavbattError
+from uavbatt.errors import UavbattError, UsageError
 from uavbatt.fleet.errand import Errand, Row
 
 TRIES = 2
 LOOK_PERIOD_S = 1.0
 MEMORY_IN_USE = 0.9  # of the machine's memory, by all workers together
+LEAST_BYTES = 150e6  # that a worker takes with a small log
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -121,7 +122,7 @@ class Processes(Generic[Row]):
         try:
             row: Row | None = worker.line.recv()
         except (EOFError, OSError):
-            return self._replace_worker(worker, "the worker died on it, of too little memory perhaps")
+            return self._replace_worker(worker, "the worker ended while it read this log, perhaps for lack of memory")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 
@@ -140,6 +141,13 @@ class Processes(Generic[Row]):
         return task.number, row
 
 
+def check_workers(count: int | None) -> None:
+    """Raise UsageError for so many workers that the machine has not the memory to start them."""
+    most = max(1, int(MEMORY_IN_USE * machine_bytes() / LEAST_BYTES))
+    if count is not None and count > most:
+        raise UsageError(f"--workers {count}: expected at most {most}, for each takes {LEAST_BYTES / 1e6:.0f} MB")
+
+
 def machine_bytes() -> float:
     """Return the memory of the machine, or of the container that this runs in [bytes]."""
     size = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -154,7 +162,7 @@ def _work(line: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    gc.set_threshold(50_000)  # as the command does: rows are values without circles
+    gc.set_threshold(50_000)  # as in the command: rows have no reference cycles
     import uavbatt.fleet.lesson  # noqa: F401  # all that errands need, loaded before the first
 
     try:

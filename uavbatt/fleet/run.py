@@ -23,7 +23,7 @@ from uavbatt.fleet.journal import Journal
 from uavbatt.fleet.lesson import Lesson, lesson_of
 from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
 from uavbatt.fleet.processes import Processes
-from uavbatt.fleet.row import FlightRow, row_of
+from uavbatt.fleet.row import LOST, FlightRow, row_of
 
 _UNDER_WAY_PER_WORKER = 3
 
@@ -98,9 +98,9 @@ def learn_all(
 
 
 def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
-    """Yield (number of the log, its lesson) of a finished first pass."""
+    """Yield (number of the log, its lesson) of a finished first pass, without logs that could not be read."""
     with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
-        yield from done.rows()
+        yield from ((number, found) for number, found in done.rows() if found.status != LOST)
 
 
 def run_fleet(
@@ -157,7 +157,7 @@ def _worked_off(
 ) -> Iterator[FinishedLog]:
     """Work off the errands of all logs without a row in the journal.
 
-    errand : of the log of a number, where a worker does about so many.
+    errand : makes the errand of the log with a number, for a worker that does about so many of them.
     """
     yield FinishedLog(None, len(done), len(keys), done.dropped)
     to_do = [number for number in range(len(keys)) if number not in done]
@@ -172,7 +172,7 @@ def _worked_off(
 def _sent_out(
     crew: Workers[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
 ) -> Iterator[tuple[int, Row]]:
-    """(number of the log, its row) as they come back."""
+    """Send out the errands, and yield (number of the log, its row) as they come back."""
     each, sent = len(to_do) // crew.size, 0
     for done in range(len(to_do)):
         while sent < len(to_do) and sent - done < _UNDER_WAY_PER_WORKER * crew.size:

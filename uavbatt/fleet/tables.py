@@ -45,7 +45,7 @@ def write_tables(folder: Path, rows: Iterable[FlightRow]) -> None:
 
 
 def _encodable(value: Any) -> Any:
-    """Text without the halves of characters that stand for the bytes of a file name that is no text."""
+    """Return text that can be encoded: a file name may hold bytes that are no text."""
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 

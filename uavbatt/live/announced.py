@@ -11,12 +11,16 @@
 
 Pauses apply only between two texts about the same thing: no text waits for another. A text that falls into a pause and
 still holds at its end is sent then.
+
+Nobody acknowledges a STATUSTEXT, and a radio loses some. Alarms of two minutes and less and the warnings in CRITICAL
+are therefore sent again, AGAIN_AFTER_S later, if they still hold, with the time as it is then.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
@@ -24,9 +28,10 @@ from uavbatt.notice import Kind, kind_of
 from uavbatt.records import Status
 
 ALARM_PAUSE_S = 10.0
-SAME_LOSS_PAUSE_S = 60.0  # for the same reason: slow or broken telemetry loses a number ten times a minute
+SAME_LOSS_PAUSE_S = 60.0  # between losses for the same reason, which slow telemetry may bring often
 REARM = 1.2
 CRITICAL_BELOW_S = 90.0
+AGAIN_BELOW_S, AGAIN_AFTER_S = 120.0, (5.0, 15.0)
 LOST_AFTER_S = 1.0  # one bad row is not a loss
 WARNING_GONE_S = 60.0
 WITHOUT_AFTER_S = 20.0  # in a flight that has had no number yet
@@ -73,8 +78,8 @@ REASONS: dict[Kind, str] = {
     Kind.TIME_BACKWARDS: "time went backwards",
     Kind.SETTLING: "charge is uncertain",
     Kind.NOT_FLYING: "no load seen",
-    Kind.JUST_TAKEN_OFF: "the load has just come",
-    Kind.BEYOND_SIX_HOURS: "load is no flight's",
+    Kind.JUST_TAKEN_OFF: "the load has just begun",
+    Kind.BEYOND_SIX_HOURS: "load too low for flight",
     Kind.NO_CHARGE: "charge is unknown",
     Kind.NO_BELIEF: "no estimate yet",
     Kind.TWO_SENDERS: "two senders disagree",
@@ -98,6 +103,18 @@ REASONS: dict[Kind, str] = {
 }
 
 
+class Repeat(NamedTuple):
+    """A Repeat is an announcement to be sent again at `due_s` [s], if it still holds.
+
+    kind : of the warning; None for the alarm at `threshold_s` [s]
+    """
+
+    severity: int
+    kind: Kind | None
+    threshold_s: float
+    due_s: float
+
+
 class Announcer:
     """Announcer decides when a text about one battery is sent, and with which words."""
 
@@ -108,6 +125,7 @@ class Announcer:
         self._warned_s: dict[Kind, float] = {}  # when each warning was last seen
         self._was_known = self._is_without_said = False
         self._lost_s = math.nan
+        self._again: list[Repeat] = []
 
     def texts(
         self,
@@ -134,6 +152,21 @@ class Announcer:
             said += self._loss(now_s, shown, is_armed)
         if shown.status is not Status.STALE:
             said += self._new_warnings(now_s, report.estimate.warnings)
+        return self._named(said)
+
+    def repeats(self, now_s: float, report: Report, speaks_first: bool = True) -> list[tuple[int, str]]:
+        """Return (severity, text) of the important announcements that are due again; parameters as in `texts`."""
+        shown, said = report.at(now_s), []
+        due, self._again = [r for r in self._again if now_s >= r.due_s], [r for r in self._again if now_s < r.due_s]
+        held = {kind_of(warning) for warning in report.estimate.warnings} if shown.status is not Status.STALE else set()
+        for severity, kind, threshold_s, _ in due:
+            if kind is None and speaks_first and shown.at_worst_s <= REARM * threshold_s:
+                said.append((severity, f"{_minutes(shown.at_worst_s)} left at worst"))
+            if kind is not None and kind in held:
+                said.append((severity, WARNINGS[kind]))
+        return self._named(said)
+
+    def _named(self, said: list[tuple[int, str]]) -> list[tuple[int, str]]:
         return [(severity, _fitting(f"Battery {self._instance}: {text}", LONGEST_TEXT)) for severity, text in said]
 
     def _alarm(self, now_s: float, shown: Display) -> list[tuple[int, str]]:
@@ -148,6 +181,9 @@ class Announcer:
             self._waiting[threshold_s] = False
             self._spoke_s[f"{threshold_s}"] = now_s
         severity = SEVERITY_CRITICAL if min(crossed) < CRITICAL_BELOW_S else SEVERITY_WARNING
+        if min(crossed) <= AGAIN_BELOW_S:
+            self._again = [r for r in self._again if r.kind is not None]  # this alarm replaces the one before
+            self._again += [Repeat(severity, None, min(crossed), now_s + after_s) for after_s in AGAIN_AFTER_S]
         return [(severity, f"{_minutes(left_s)} left at worst")]
 
     def _loss(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
@@ -183,6 +219,8 @@ class Announcer:
         for kind in (kind for kind in WARNINGS if kind in held):
             if now_s - self._warned_s.get(kind, -math.inf) > WARNING_GONE_S:
                 made.append((SEVERITY_CRITICAL if kind in CRITICAL else SEVERITY_WARNING, WARNINGS[kind]))
+                for after_s in AGAIN_AFTER_S if kind in CRITICAL else ():
+                    self._again.append(Repeat(SEVERITY_CRITICAL, kind, math.nan, now_s + after_s))
             self._warned_s[kind] = now_s
         return made
 

@@ -92,7 +92,7 @@ class Batteries:
         """
         instance = row.instance
         tracked = self._battery_of(instance, now_s)
-        if self._keeper is not None and self._reader.following.awaited is None:  # else the packs are of another crew
+        if self._keeper is not None and self._reader.following.awaited is None:  # else these are another crew's packs
             self._remember(self._keeper, row, vehicle, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
         facts = self._facts_of(instance, vehicle)
@@ -155,7 +155,7 @@ class Batteries:
         if self._keeper is not None:
             self._keeper.look_after(now_s)
         path = self._config.state.file
-        is_own = self._reader.following.awaited is None  # else the state in the file is of the vehicle that is awaited
+        is_own = self._reader.following.awaited is None  # else the state in the file belongs to the awaited vehicle
         batteries = self._resumable(now_s) if path and is_own else {}
         if not batteries:
             return
@@ -205,7 +205,7 @@ class Batteries:
         return PackKeeper(Path(packs.file), packs.name, self._battery, self._options, self._utc_s)
 
     def _utc_s(self, now_s: float) -> float:
-        """Seconds since 1970 at a monotonic time [s]; NaN while the clock is not set."""
+        """Return the seconds since 1970 at a monotonic time [s]; NaN while the clock is not set."""
         clock = self._clocks(now_s)
         return clock.wall_s if clock.is_clock_set else math.nan
 

@@ -1,4 +1,4 @@
-"""Which batteries carry the flight: those that gave its energy, or have the load now. One of them speaks for the
+"""The batteries that carry the flight: those that gave its energy, or have the load now. One of them speaks for the
 vehicle.
 
 A camera's pack lasts for hours after the motors' pack is empty. So if the motors' pack falls silent, loses its current
@@ -45,7 +45,7 @@ class Carriers:
         if is_armed is not True and not any(math.isfinite(report.flying_since_s) for report in fresh):
             self._given, self._loaded_since_s = {}, {}
             return frozenset()
-        for report in fresh:  # an estimate that began anew in flight counts from zero: the larger energy is kept
+        for report in fresh:  # an estimate that begins anew in flight counts from 0: keep the larger energy
             now = EnergyGiven(report.flown_J, report.flown_s)
             self._given[report.instance] = max(self._given.get(report.instance, EnergyGiven()), now)
         most = max(self._given.values(), default=EnergyGiven())
@@ -56,7 +56,7 @@ class Carriers:
         resting = {r.instance for r in fresh if _is_resting(r, strongest_W)}
         if not gave <= resting:
             self._awake_s = now_s
-        is_left = now_s - self._awake_s >= RESTING_AFTER_S  # all that gave energy rest: others fly with less power
+        is_left = now_s - self._awake_s >= RESTING_AFTER_S  # all carriers rest: other batteries fly with less power
         self._look_at_load(fresh, now_s, CARRYING * (strongest_W if is_left else most.energy_J / most.time_s))
         loaded = {n for n, at_s in self._loaded_since_s.items() if now_s - at_s >= TAKES_OVER_AFTER_S}
         return frozenset(loaded - resting if is_left and loaded - resting else gave | loaded)

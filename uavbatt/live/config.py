@@ -14,9 +14,11 @@ from typing import Annotated, Literal
 import msgspec
 
 from uavbatt.errors import BadInput, UsageError
+from uavbatt.files import read_bounded
 from uavbatt.limits import AMBIENT_C, CAPACITY_AH, MOST_CELLS
 
 SYSTEM_FILE = Path("/etc/uavbatt/uavbatt.toml")
+MOST_BYTES = 1_000_000  # of a configuration or a key
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 FeedKind = Literal["proxy", "battery", "named"]
 
@@ -29,7 +31,7 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file: immutable, and unknown keys are errors."""
+    """Section is a section of the file: immutable, and unknown keys are errors."""
 
 
 class LinkSection(Section, frozen=True):
@@ -127,10 +129,7 @@ def read_config(path: Path | None = None) -> Config:
     named = path if path is not None else _named()
     if named is None:
         return Config()
-    try:
-        text = named.read_bytes()
-    except OSError as error:
-        raise BadInput(named, "", f"a configuration file, cannot be read: {error.strerror}") from None
+    text = read_bounded(named, MOST_BYTES, "a configuration file")
     try:
         return msgspec.toml.decode(text, type=Config)
     except msgspec.ValidationError as error:
@@ -155,7 +154,7 @@ def checked(config: Config) -> Config:
         if kind in config.feed.kinds and not config.link.gcs:
             raise UsageError(f"feed {kind}: expected --gcs ENDPOINT, where the ground station is")
     if config.packs.name and not config.packs.file:
-        raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the ledger that remembers it")
+        raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the file of the pack ledger")
     if config.http.listen:
         host, _ = address(config.http.listen)
         if host not in LOOPBACK and len(config.http.token) < 8:
@@ -179,8 +178,8 @@ def signing_key(path: str) -> bytes | None:
     if not path:
         return None
     try:
-        key = bytes.fromhex(Path(path).read_text(encoding="ascii").strip())
-    except (OSError, ValueError) as error:
+        key = bytes.fromhex(read_bounded(Path(path), MOST_BYTES, "64 hexadecimal digits").decode("ascii").strip())
+    except ValueError as error:
         raise BadInput(path, "", f"64 hexadecimal digits: {error}") from None
     if len(key) != 32:
         raise BadInput(path, "", f"64 hexadecimal digits, found {2 * len(key)}")

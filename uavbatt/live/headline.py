@@ -19,10 +19,10 @@ from uavbatt.live.log import tell
 from uavbatt.live.report import Report
 from uavbatt.notice import Kind, Notice, kind_of
 
-NOTHING_SHARE = 0.02  # of the current of the battery that gives most; electronics draw more than that of a small one
+NOTHING_SHARE = 0.02  # of the largest current of a battery; electronics alone draw more
 NOTHING_AFTER_S = 3.0  # one row without a current does not count
 CHANGES_AFTER_S = 1.0  # one row without a number does not change the order
-KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # another must have less than this share, or so much less, to become the first
+KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # another becomes first with less than this share, or so many seconds less
 
 
 class Headline:

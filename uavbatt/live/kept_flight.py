@@ -14,8 +14,8 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs.airborne import ROW_S, Airborne
 from uavbatt.records import NAN, Sample
 
-BEFORE_S = 30.0  # of rest before the take-off, for the rested voltage
-MOST_ROWS = 3600  # that may wait to be written: two hours
+BEFORE_S = 30.0  # rest before the take-off that is kept, for the rested voltage
+MOST_ROWS = 3600  # rows that may wait to be written: two hours
 
 
 def _waiting() -> deque[Sample]:

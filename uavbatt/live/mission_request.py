@@ -17,7 +17,7 @@ from uavbatt.telemetry.route.messages import NavigationListener
 
 LIST_PAUSE_S, MOST_LIST_REQUESTS = 2.0, 3
 ITEM_PAUSE_S, LONGEST_ITEM_PAUSE_S, MOST_ITEM_REQUESTS = 1.0, 4.0, 5
-REST_S, LONGEST_REST_S = 10.0, 120.0  # after a reading that failed
+REST_S, LONGEST_REST_S = 10.0, 120.0  # pauses after a reading that failed
 
 
 class MissionRequest:

@@ -31,7 +31,7 @@ from uavbatt.packs.remembering import flight_for_ledger, health_before
 from uavbatt.records import Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
-LANDED_S = 20.0  # of rest after the landing, for the rested voltage
+LANDED_S = 20.0  # rest after the landing that is kept, for the rested voltage
 FLIGHT_SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
 MOST_LANDING = 8  # flights that wait to be written
@@ -50,7 +50,7 @@ class PackKeeper:
         options: PackOptions,
         utc_s: Callable[[float], float],
     ) -> None:
-        """`utc_s` turns a monotonic time [s] into seconds since 1970, NaN while the clock is not set."""
+        """Open the ledger; `utc_s` turns a monotonic time [s] into seconds since 1970, NaN without a set clock."""
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, LedgerBattery] = {}

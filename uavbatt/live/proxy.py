@@ -81,7 +81,7 @@ class Messages:
 
 
 class Control:
-    """The control socket has one client, the newest; a client that is slow or gone is dropped."""
+    """Control is the control socket. It has one client, the newest; a client that is slow or gone is dropped."""
 
     def __init__(self, path: str) -> None:
         self._path, self._messages = path, Messages()
@@ -105,7 +105,7 @@ class Control:
             made.setblocking(False)
             self.close_client()
             self._client, self._messages = Pipe(made.fileno(), made), Messages()
-        except OSError:  # no client waits, or it has gone again
+        except OSError:  # no client waits, or it has left again
             pass
         if self._client is None:
             return []

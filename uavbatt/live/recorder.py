@@ -137,7 +137,7 @@ class Recorder:
         return next(name for name in names if not (self._folder / f"{name}.tlog").exists())
 
     def _look(self, now_s: float) -> None:
-        """Every LOOK_S, close a file that has reached its size limit, and stop if the disk is too full."""
+        """Check the files every LOOK_S: close one that has reached its size limit, stop if the disk is too full."""
         self._look_s = now_s + LOOK_S
         assert self._raw is not None
         if self._raw.tell() > self._settings.max_file_MB * MB:
@@ -145,7 +145,7 @@ class Recorder:
         elif self._free_MB() < self._settings.min_free_MB:
             self._note_failure(f"less than {self._settings.min_free_MB:g} MB free", now_s)
         else:
-            self._is_stop_told = False  # it records again: LOOK_S of frames are written
+            self._is_stop_told = False  # it records again
 
     def _free_MB(self) -> float:
         disk = os.statvfs(self._folder)

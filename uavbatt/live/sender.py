@@ -108,13 +108,16 @@ class Sender:
         self._look_s = now_s + ANNOUNCE_PERIOD_S
         is_airborne = navigation.is_aloft(vehicle.now_s) is True
         made: list[tuple[int, str]] = []
+        again: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            made += announcer.texts(now_s, report, vehicle.armed, is_airborne, report is reports[0])
-        self.announcements.extend((now_s, text) for _, text in made)
-        return made
+            is_first = report is reports[0]
+            made += announcer.texts(now_s, report, vehicle.armed, is_airborne, is_first)
+            again += announcer.repeats(now_s, report, is_first)
+        self.announcements.extend((now_s, text) for _, text in made)  # the page keeps all of them
+        return made + again
 
     def _to_gcs(self, frame: bytes, now_s: float) -> None:
         if isinstance(self._link, ProxyClient):

@@ -166,7 +166,7 @@ class TrackedBattery:
 
 
 def _notice_of(error: Exception) -> Notice:
-    """Return the reason for which a row is refused that has caused this error."""
+    """Return the reason why a row that has caused this error is refused."""
     words = " ".join(str(error).split())
     if isinstance(error, UavbattError):
         return Notice(words, Kind.CAPACITY_NOT_STATED if isinstance(error, CapacityNotStated) else Kind.OTHER)

@@ -17,6 +17,7 @@ import json
 import math
 import os
 import re
+import secrets
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable
@@ -31,10 +32,11 @@ from uavbatt.live.report import NOTHING_YET, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
+START = secrets.token_hex(8)  # another in every process: `clock_s` may have begun anew with it
 SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
-# What the menu of a companion computer (BlueOS) shows of this service (/register_service).
+# The menu of a companion computer (BlueOS) shows this about the service (/register_service).
 ABOUT = {
     "name": "uavbatt",
     "description": "Remaining flight time",
@@ -44,7 +46,7 @@ ABOUT = {
     "version": __version__,
     "api": "",
 }
-_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's own; its data are no script
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's script; its data are no script
 
 
 ReadBoard = Callable[[], Board]
@@ -65,6 +67,7 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
         ],
         "counts": dict(board.counts),
         "clock_s": round(now_s, 2),
+        "start": START,
         "version": __version__,
     }
 
@@ -159,7 +162,7 @@ def _refusal(request: Any, host: str, token: str) -> tuple[str, int] | None:
 
 
 def _is_fresh(board: Board, now_s: float) -> bool:
-    """Return True if the battery that speaks for the vehicle is known now."""
+    """Return True if the first report (of the battery that speaks for the vehicle) is not stale."""
     return bool(board.reports) and not board.reports[0].is_stale(now_s)
 
 

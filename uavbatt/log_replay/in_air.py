@@ -1,4 +1,4 @@
-"""Which rows of a replay are in the air: rows under load, and rows after the current sensor failed in flight.
+"""The rows of a replay that are in the air: rows under load, and rows after the current sensor failed in flight.
 
 A sensor that fails in the air does not end the flight. Rows without a usable current belong to the flight while the
 vehicle says that it is armed. If it does not say so, they belong to it until the voltage rises above its value under
@@ -64,5 +64,5 @@ def in_air(run: Sequence[ReplayedRow]) -> InAir:
 
 
 def _is_current_doubted(row: ReplayedRow) -> bool:
-    """Return True if the monitor takes the current of this row for that of a stuck or dead sensor."""
+    """Return True if the monitor doubts the current of this row (stuck or dead sensor)."""
     return any(kind_of(warning) in DOUBTED for warning in row.estimate.warnings)

@@ -99,7 +99,8 @@ class Outcome:
 def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -> Outcome:
     """Return the figures of a finished replay; forecasts are judged by the end of flight that the log itself shows.
 
-    cutoff_V [V]; reserve_soc: forecasts that end at it are not judged, the log shows when the voltage ended alone.
+    cutoff_V : cut-off of the pack [V]. With a reserve the forecasts are not judged, because the log shows only when the
+    voltage ended the flight.
     """
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
@@ -140,8 +141,8 @@ def _is_forgotten(run: list[ReplayedRow], air: InAir) -> bool:
 def _landing(run: list[ReplayedRow], air: InAir) -> Landing | None:
     """Return the forecast at the last row in the air, or at the last one before it that was given one.
 
-    A refused number is not older than FORGOTTEN_S: an aircraft that comes down draws little, and a row there may have
-    none.
+    If that row has none, the last one before it counts, up to FORGOTTEN_S old: a descending aircraft draws so little
+    that a row may have no forecast.
     """
     flying = np.flatnonzero(air.flying)
     if not flying.size:

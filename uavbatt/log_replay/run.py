@@ -26,7 +26,7 @@ MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1
 
 @dataclass(frozen=True, slots=True)
 class ReplayedRow:
-    """A row of the log gives one output line: the estimate and the forecast after it.
+    """A ReplayedRow is one output line: the estimate and the forecast after a row of the log.
 
     armed: the row's own flag, None where the log does not tell.
     """
@@ -108,7 +108,7 @@ def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
 
 
 def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
-    """Yield the rows in stretches during which the vehicle's facts do not change, each with those facts."""
+    """Yield the rows in stretches in which the vehicle states the same facts, each with those facts."""
     since_s = [time_s for time_s, _ in flight.facts]
     for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
         yield flight.facts[count - 1][1] if count else PackFacts(), rows

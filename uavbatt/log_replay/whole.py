@@ -160,7 +160,7 @@ def replay(
         UsageError: an argument is impossible; the message names it and its bounds.
     """
     if pack and packs is None:
-        raise UsageError(f"pack={pack!r}: expected packs= as well, the ledger that remembers it")
+        raise UsageError(f"pack={pack!r}: expected packs= as well, the file of the pack ledger")
     for argument, value in (("mission", mission), ("packs", packs)):
         if value is not None:
             check_path(argument, value, "the path of a file, or None")

@@ -3,6 +3,7 @@
 udpin:HOST:PORT (or udp:)   listen; answers go to everybody heard in the last minute
 udpout:HOST:PORT            send there, hear answers
 tcp:HOST:PORT               connect; tcpin:HOST:PORT accepts any number of clients
+HOST is a name, an IPv4 address, or an IPv6 address in brackets: udpin:[::1]:14550.
 DEVICE[,BAUD] or serial:DEVICE:BAUD     a serial line, 57600 baud unless said
 """
 
@@ -57,7 +58,10 @@ def parse(text: str) -> Endpoint:
         host, _, port = rest.removeprefix("//").rpartition(":")
         if not host or not port.isdigit() or not 0 < int(port) < 65536:
             raise UsageError(expected)
-        return Endpoint(kind, host, int(port), text)
+        is_bracketed = host.startswith("[") and host.endswith("]")
+        if is_bracketed is not (":" in host):
+            raise UsageError(f"{expected}; an IPv6 address stands in brackets, as in udpin:[::1]:14550")
+        return Endpoint(kind, host.strip("[]"), int(port), text)
     if kind == "serial":
         device, _, baud = rest.rpartition(":")
     else:

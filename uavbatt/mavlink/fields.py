@@ -21,7 +21,7 @@ AUTOPILOT_PX4 = 12
 _AUTOPILOT_INVALID = 8
 _TYPE_GCS = 6
 _MODE_FLAG_ARMED = 128
-_PACK_SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
+_PACK_SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest in the next entry
 # MAV_PARAM_TYPE -> struct code: PX4 copies the integer's bytes into the float field.
 INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 

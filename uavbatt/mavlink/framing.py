@@ -20,8 +20,8 @@ V1_OVERHEAD, V2_OVERHEAD, SIGNATURE = 8, 12, 13
 V2_HEADER = 10
 BATTERY_STATUS, BATTERY_CRC_EXTRA = 147, 154
 ID_AT, PERCENT_AT, TIME_AT, TIME_END = 32, 35, 36, 40  # payload offsets of BATTERY_STATUS
-# What is sent once, on request or to be heard, and is worth something late: parameters (PARAM_*), missions (MISSION_*),
-# commands and their answers, STATUSTEXT, files and logs (FILE_TRANSFER_PROTOCOL, LOG_*), AUTOPILOT_VERSION.
+# Messages that are sent only once and are useful even if late: parameters (PARAM_*), missions (MISSION_*), commands and
+# their answers, STATUSTEXT, files and logs (FILE_TRANSFER_PROTOCOL, LOG_*), AUTOPILOT_VERSION.
 _COMMANDS, _PARAMETERS, _MISSIONS = (11, 75, 76, 77), (*range(20, 24), *range(320, 325)), (*range(37, 48), 51, 73)
 SENT_ONCE = frozenset((*_COMMANDS, *_PARAMETERS, *_MISSIONS, 110, *range(117, 123), 148, 253))
 LONGEST = V2_OVERHEAD + 255 + SIGNATURE
@@ -75,7 +75,7 @@ def header(frame: bytes) -> Header:
 
 
 def _next_mark(data: bytes, position: int) -> int:
-    """The next byte that could begin a frame; the end of the data if there is none."""
+    """Return the place of the next byte that could begin a frame; the end of the data if there is none."""
     found = [at for mark in (b"\xfe", b"\xfd") if (at := data.find(mark, position)) >= 0]
     return min(found, default=len(data))
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
 from uavbatt.mavlink.pipe import LARGEST_READ, Pipe, watched
-from uavbatt.mavlink.resolver import Resolver
+from uavbatt.mavlink.resolver import Resolver, address_of, family_of
 from uavbatt.mavlink.tcp_server import TcpServer
 
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
@@ -61,24 +61,26 @@ class Peer(NamedTuple):
 class UdpLink:
     """UdpLink carries datagrams: `udpin` learns its peers from what they send, `udpout` has one.
 
-    Raises UsageError for a host that nobody knows and a local address that is taken.
+    Raises UsageError for an unknown host, and for a local address that is taken.
     """
 
     is_stream, problem = False, ""
 
     def __init__(self, at: Endpoint) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         self._peers: dict[tuple[str, int], Peer] = {}
         self._fixed = at.kind == "udpout"
         try:
-            self._address = (socket.gethostbyname(at.host), at.port)
+            self._address = (address_of(at.host), at.port)
+            self._socket = socket.socket(family_of(self._address[0]), socket.SOCK_DGRAM)
+        except OSError as error:
+            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+        self._socket.setblocking(False)
+        try:
             if not self._fixed:
                 self._socket.bind(self._address)
-        except (OSError, UnicodeError) as error:
+        except OSError as error:
             self._socket.close()
-            said = error.strerror if isinstance(error, OSError) and error.strerror else error
-            raise UsageError(f"endpoint `{at.text}`: {said}") from None
+            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
 
     def filenos(self) -> Iterator[int]:
         """Yield the one socket."""
@@ -116,7 +118,7 @@ class UdpLink:
     def _remember(self, sender: tuple[str, int], now_s: float) -> None:
         if sender not in self._peers and len(self._peers) >= MOST_PEERS:
             forgotten = [p for p, peer in self._peers.items() if now_s - peer.heard_s >= PEER_FORGOTTEN_S]
-            # the peer that sent least is dropped: many peers that send once must not push out an autopilot
+            # drop the peer that sent least, so that many peers that send once cannot push out an autopilot
             for gone in forgotten or [min(self._peers, key=lambda p: self._peers[p])]:
                 del self._peers[gone]
         was = self._peers.get(sender)
@@ -191,13 +193,13 @@ class StreamLink:
         return self._pipe
 
     def _connected(self, now_s: float) -> Pipe | None:
-        """A connection that is being made counts as closed; OSError when it failed."""
+        """Return the connection once it is made; None until then. Raises OSError if it failed."""
         if self._connecting is None:
             address = self._resolver.address()
             if address is None:
                 return None
             self._address = address
-            self._connecting = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._connecting = socket.socket(family_of(address), socket.SOCK_STREAM)
             self._connecting.setblocking(False)
             self._deadline_s = now_s + 5.0
         code = self._connecting.connect_ex((self._address, self._at.port))
@@ -212,7 +214,7 @@ class StreamLink:
 
 
 def _speed(at: Endpoint) -> int:
-    """The system's own number for a baud rate."""
+    """Return the system's own number for a baud rate."""
     import termios
 
     speed: int | None = getattr(termios, f"B{at.port}", None)
@@ -222,9 +224,9 @@ def _speed(at: Endpoint) -> int:
 
 
 def _serial(at: Endpoint) -> int:
-    """A raw, non-blocking serial line; OSError when it is not there, is no serial line, or another program reads it.
+    """Open a raw, non-blocking serial line. Raises OSError if there is none, or if another program reads it.
 
-    Of two readers each would get a part of every frame.
+    Two readers would each get a part of every frame.
     """
     import fcntl
     import termios

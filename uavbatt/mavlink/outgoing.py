@@ -145,7 +145,7 @@ def _current_cA(current_A: float) -> int:
 
 
 def _pack_mV(voltage_V: float) -> list[int]:
-    """voltages[10]: the pack in the first entry, what is above 65534 mV in the second."""
+    """Return voltages[10]: the pack in the first entry, the part above 65534 mV in the second."""
     fields = [UINT16_MAX] * 10
     total_mV = _bounded(voltage_V * 1000.0, UINT16_MAX, 0, 2 * (UINT16_MAX - 1))
     if math.isfinite(voltage_V):

@@ -1,8 +1,8 @@
 """Open descriptors: a stream with its bytes that wait to be sent, and how a loop waits.
 
-A stream may be slower than what is sent on it: a radio of 1200 baud, a modem in the shade of a hill. What waits there
-is late, and nobody at the other end can see that: a time left that was true a minute ago looks as if it were of now.
-So telemetry is lost, not kept, while a stream is behind; what is sent once (`framing.SENT_ONCE`) waits.
+A stream may be slower than what is sent on it: a radio of 1200 baud, a modem behind a hill. What waits there is late,
+and the other end cannot see that: a time left of a minute ago looks like a new one. So telemetry is lost, not kept,
+while a stream is behind; what is sent once (`framing.SENT_ONCE`) waits.
 
 Waiting for a descriptor is `poll`: `select` raises for one above 1023, which any process may reach whose limit is
 higher.
@@ -22,13 +22,13 @@ from uavbatt.mavlink.framing import is_sent_once
 
 LARGEST_READ = 65_536
 MOST_PENDING = 131_072  # bytes that a slow stream may lag behind before it is dropped
-BEHIND_S = 0.25  # a burst of telemetry may take as long to send
-STALLED_S = 10.0  # behind without a break for so long: nobody reads
+BEHIND_S = 0.25  # a burst of telemetry may take so long to send
+STALLED_S = 10.0  # a stream that is behind for so long has no reader
 NOT_SENT = 0x894B  # SIOCOUTQNSD of Linux: what a TCP connection has not sent yet
 
 
-# A host that goes without a word (its power, its range) is waited for as long, not for the quarter of an hour in which
-# TCP gives up: an autopilot's link is opened again, and it may have another address by then.
+# A host that disappears (no power, out of range) is given up after this time, not after the quarter of an hour of TCP.
+# The link to the autopilot is then opened again, perhaps at another address.
 UNANSWERED_S = 10
 _TCP_OPTIONS = {
     "TCP_NODELAY": 1,
@@ -78,7 +78,7 @@ class Pipe:
 
     def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
         self.fd, self._owner, self._pending = fd, owner, b""
-        self._free_s: float | None = None  # when nothing waited, last
+        self._free_s: float | None = None  # the last time at which nothing waited
 
     def read(self) -> bytes | None:
         """Return the bytes that have come in; empty when nothing; None when the other side is gone."""

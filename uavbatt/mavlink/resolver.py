@@ -31,12 +31,28 @@ class Resolver:
 
     def _look(self) -> None:
         try:
-            self._found = socket.gethostbyname(self._host)
-        except (OSError, UnicodeError) as error:  # a label of more than 63 characters is no host name
-            self._found = error if isinstance(error, OSError) else OSError(errno.EINVAL, str(error))
+            self._found = address_of(self._host)
+        except OSError as error:
+            self._found = error
+
+
+def address_of(host: str) -> str:
+    """Return the address of a host, IPv4 if it has one; waits for the name server. Raises OSError if not found."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    except UnicodeError as error:  # a label of more than 63 characters is no host name
+        raise OSError(errno.EINVAL, str(error)) from None
+    return str(min(found, key=lambda info: info[0] != socket.AF_INET)[4][0])
+
+
+def family_of(address: str) -> socket.AddressFamily:
+    """Return the family of sockets that reach an address."""
+    return socket.AF_INET6 if ":" in address else socket.AF_INET
 
 
 def _is_address(host: str) -> bool:
+    if ":" in host:
+        return True
     try:
         socket.inet_aton(host)
     except OSError:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint
 from uavbatt.mavlink.pipe import Pipe, watched
+from uavbatt.mavlink.resolver import address_of, family_of
 
 MOST_CLIENTS = 32
 QUIET_S = 5.0  # heartbeats come every second
@@ -32,7 +33,9 @@ class TcpServer:
         self._clients: dict[Pipe, tuple[bool, float]] = {}  # has it spoken, and when it last did or came [s]
         self._silent_after_s = silent_after_s
         try:
-            self._socket = socket.create_server((at.host, at.port))
+            address = address_of(at.host)
+            is_both = address == "::" and socket.has_dualstack_ipv6()  # as a datagram socket there hears both
+            self._socket = socket.create_server((address, at.port), family=family_of(address), dualstack_ipv6=is_both)
         except OSError as error:
             raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
         self._socket.setblocking(False)

@@ -30,16 +30,16 @@ NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
 USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
 TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.020, 0.010])
 AGED_TOGETHER = (-0.5, -0.9)  # correlation of ln ohm and ln Ah, and of their trends: both worsen together
-FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # of one flight
-MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # of one month of storage
+FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # change in one flight
+MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # change in one month of storage
 DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
 LONGEST_DAYS = 3650.0
-# A flight's evidence holds at its own temperature and load; the next flight has others.
+# The evidence of a flight is for its own temperature and load; those of the next flight differ.
 OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
-OTHER_FILE_SD = np.array([0.10, 0.03])  # for evidence that was read with another battery file
-# A flight is odd from this many sd on; two flights in a row, taken together, from fewer.
+OTHER_FILE_SD = np.array([0.10, 0.03])  # added if another battery file was used
+# A flight is odd if it is this many sds off; for two flights in a row, taken together, fewer are enough.
 ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 2.5, 2.5
-DAMAGED_SHARE = 0.1  # of the packs that look damaged after two flights; the others age faster than was believed
+DAMAGED_SHARE = 0.1  # of packs that look damaged after two flights; the others age faster
 DAMAGE_SD = np.array([0.30, 0.15, 0.0, 0.0])
 
 F = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -129,9 +129,9 @@ class AgeingState(NamedTuple):
     """AgeingState holds the state of the slow filter: the belief about a pack, and the beliefs it may return to."""
 
     known: PackBelief
-    expected: PackBelief  # before the last flight
+    expected: PackBelief  # belief before the last flight
     last: FlightRecord
-    undamaged: PackBelief | None = None  # before the last damage, which may have been a change of the pack
+    undamaged: PackBelief | None = None  # belief before the last damage, which may have been a change of the pack
     aside: FlightRecord | None = None  # the last flight, if it is believed to be of another pack
     is_settled: bool = True  # the last flight was not odd
 

@@ -13,7 +13,7 @@ from uavbatt.battery.sections import HIGHEST_CELL_V
 from uavbatt.limits import CAPACITY_AH, MOST_CELLS
 from uavbatt.packs.records import FlightRecord
 
-LATEST_UTC_S = 2.5e11  # a calendar ends with the year 9999
+LATEST_UTC_S = 2.5e11  # the calendar ends with the year 9999
 OHM, AH, VARIANCE = (1e-5, 10.0), (0.01, 1e4), (1e-12, 1e6)
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "cells": (1, MOST_CELLS),

@@ -23,15 +23,15 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.packs.records import FlightEvidence
 
 ELECTRODE_SD_V = 0.025  # drop by slow electrodes over the life of a pack; one flight leaves room for twice that
-# Between flights of one pack the evidence scatters by a part of its stated sd: the other part is the error of the
-# battery file, which is the same in all of them. For the capacity the scattering part falls with what a flight shows:
-# a flight that lands half full extrapolates, and all of its sd is scatter.
+# The evidence of flights of one pack scatters by only a part of its stated sd; the other part is the error of the
+# battery file, which is the same in all flights. For the capacity the scatter is smaller after a deep discharge: a
+# flight that lands half full extrapolates, and all of its sd is scatter.
 OHM_SHARE, ALL_CHANCE_SD = 0.35, 0.16
 LEAST_SD = np.array([0.015, 0.01])
-# A flight in the cold shows less of the values at 25 °C: so well is the file's temperature dependence known [per K].
+# A flight in the cold shows less of the values at 25 °C: the file's temperature dependence has this error [per K].
 COLD_SD_PER_K = np.array([0.005, 0.002])
 UNKNOWN_AWAY_K = 12.0
-# Shares of the prior's variance: least and most that a flight leaves, and where magnifying its distance stops.
+# Shares of the prior's variance that a flight leaves, least and most, and the limit of magnifying its shift.
 SMALLEST_SHARE, LARGEST_SHARE, MAGNIFIED_SHARE = 1e-6, 0.98, 0.5
 
 

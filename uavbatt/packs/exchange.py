@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 import msgspec
 
 from uavbatt.errors import BadInput, misread
+from uavbatt.files import read_bounded
 from uavbatt.packs.bounds import doubt_of
 from uavbatt.packs.ledger import Ledger, check_name
 from uavbatt.packs.records import FlightRecord
 
 FORMAT, VERSION = "uavbatt-pack", 1
+MOST_BYTES = 50_000_000  # of a pack: a flight takes about a thousand
 KIND = "a pack as `uavbatt packs --export` writes it"
 
 
@@ -38,7 +40,7 @@ def plain_pack(ledger: Ledger, name: str) -> dict[str, Any]:
 
 
 class ImportedPack(NamedTuple):
-    """A CarriedPack holds a pack that was read from its file and checked."""
+    """An ImportedPack holds a pack that was read from its file and checked."""
 
     name: str
     flights: tuple[FlightRecord, ...]
@@ -47,10 +49,8 @@ class ImportedPack(NamedTuple):
 def read_pack(path: Path) -> ImportedPack:
     """Read a pack's file. Raises BadInput that names the value that no ledger can hold."""
     try:
-        content = msgspec.json.decode(path.read_bytes(), type=PackFile)
+        content = msgspec.json.decode(read_bounded(path, MOST_BYTES, KIND), type=PackFile)
         flights = tuple(flight_of(entry) for entry in content.flights)
-    except OSError as error:
-        raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
     except (msgspec.DecodeError, RecursionError) as error:
         raise misread(path, error, KIND) from None
     if (content.format, content.version) != (FORMAT, VERSION) or not flights:

@@ -47,14 +47,14 @@ def sudden(z: Array, change: Array, since: str = " at once", causes: str = "dama
     z [2] : distance of ln ohm and ln Ah from their expected values [sd]; change [2] : the same in ln
     """
     if z[0] >= -z[1]:
-        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms{since}: {causes}")
+        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more resistance{since}: {causes}")
     return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge{since}: {causes}")
 
 
 def another(z: Array, change: Array) -> PackFinding:
     """Return the finding of another pack, by a change that no pack can make; z and change as in `sudden`."""
     if -z[0] >= z[1]:
-        what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
+        what = f"{-100.0 * math.expm1(change[0]):.0f} % less resistance"
     else:
         what = f"{100.0 * math.expm1(change[1]):.0f} % more charge"
     return PackFinding(ANOTHER, f"{what} at once, which no pack can do: {HELD_TEXT}")

@@ -7,6 +7,7 @@ slow filter always runs over all flights of a pack in order of time, so that the
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,17 +17,18 @@ from types import TracebackType
 
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
+from uavbatt.files import no_file
 from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
 
-PATIENCE_S = 10.0  # for another writer
+PATIENCE_S = 10.0  # longest wait for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
 _BROKEN = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second for a text, in a row or an error, that is damaged
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
-# A log of the same flight that began earlier does not count; without a clock, all flights count that were saved before.
+# An earlier log of the same flight does not count; without a clock, all flights count that were saved before.
 BEFORE = f"""
 {OF_PACK} AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
     ELSE key != :key AND (start_utc_s IS NOT NULL OR flights.id < ifnull(
@@ -36,7 +38,7 @@ BEFORE = f"""
 
 
 class AnotherSize(BadInput):
-    """A flight whose pack has another number of cells than the pack of its name raises this error.
+    """AnotherSize says that a flight's pack has another number of cells than the known pack of this name.
 
     index : the flight's place among those to be saved
     """
@@ -183,12 +185,12 @@ def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHe
 def _open(path: Path, only_read: bool) -> sqlite3.Connection:
     if only_read and not path.exists():
         raise BadInput(path, "", "a pack ledger, found no such file")
-    if path.is_dir():
-        raise BadInput(path, "", "a pack ledger, found a directory")
+    if found := no_file(path):
+        raise BadInput(path, "", f"a pack ledger, found {found}")
     if not path.parent.is_dir():
         raise BadInput(path, "", "an existing folder to keep the pack ledger in")
     try:
-        mode = "ro" if only_read else "rwc"
+        mode = ("ro&immutable=1" if _is_on_read_only(path) else "ro") if only_read else "rwc"
         connection = sqlite3.connect(
             f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=PATIENCE_S, isolation_level=None,
             check_same_thread=False,
@@ -201,6 +203,13 @@ def _open(path: Path, only_read: bool) -> sqlite3.Connection:
     except _BROKEN as error:
         raise BadInput(path, "", _words(error)) from None
     return connection
+
+
+def _is_on_read_only(path: Path) -> bool:
+    """Return True for a ledger that nobody can be writing: SQLite must not look for a lock that it cannot make."""
+    whole = path.resolve()
+    wal = whole.with_name(f"{whole.name}-wal")
+    return not os.access(whole.parent, os.W_OK) and not (wal.exists() and wal.stat().st_size > 0)
 
 
 def _words(error: Exception) -> str:
@@ -249,7 +258,8 @@ def _write_flight(connection: sqlite3.Connection, pack: int, flight: FlightRecor
     if longest is not flight:
         return longest.key
     for other in same.values():
-        flight = replace(flight, start_utc_s=_value_or(flight.start_utc_s, other.start_utc_s))
+        if math.isnan(flight.start_utc_s):
+            flight = replace(flight, start_utc_s=other.start_utc_s)
     if any(other.key == flight.key for number, other in every.items() if number not in gone):
         flight = flight.with_own_key()
     values = {**rows.flight_row(flight), "id": min(gone, default=None), "pack": pack, "findings": ""}
@@ -277,10 +287,6 @@ def _moment(row: sqlite3.Row) -> tuple[float, int]:
     """Return the sort key of a flight: its start; flights without a clock come last, in the order they were saved."""
     with rows.reading(row):
         return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
-
-
-def _value_or(value: float, other: float) -> float:
-    return value if math.isfinite(value) else other
 
 
 def inserted(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from uavbatt.packs.records import Outlook, PackBelief
 
-RETIRED_AT = 0.8  # of the rated capacity
+RETIRED_AT = 0.8  # share of the rated capacity
 INTERVAL_SD = 1.645  # 5 % to 95 %
 # The battery file's own error is the same in every flight, so that no number of flights averages it out.
 SHARED_SD = (0.04, 0.02)  # ln of ohms, ln of Ah

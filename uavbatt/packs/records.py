@@ -47,7 +47,7 @@ class FlightRecord:
     told: FlightEvidence
     cells: int
     rated_Ah: float
-    type_ohm: float  # of a cell as the battery file has it, at 25 °C and half charge
+    type_ohm: float  # resistance of a cell by the battery file, at 25 °C and half charge
     battery: str
     battery_sha256: str
     start_utc_s: float = NAN
@@ -59,16 +59,16 @@ class FlightRecord:
     energy_Wh: float = NAN
     temp_mean_C: float = NAN
     temp_max_C: float = NAN
-    weak_cell: int = 0  # the cell that lies lowest under load, from 1; 0 where cells are not measured
-    weak_cell_V: float = NAN  # how far below the mean of the cells
+    weak_cell: int = 0  # number of the lowest cell under load, from 1; 0 if cells are not measured
+    weak_cell_V: float = NAN  # distance below the mean of the cells
     cycles: int | None = None  # by the pack's own counter
-    fullest_cell_V: float = NAN  # at which a full cell has rested; ORDINARY_FULL_V where it is no more than that
+    fullest_cell_V: float = NAN  # voltage of a full cell at rest, at least ORDINARY_FULL_V
 
     def is_same_as(self, other: FlightRecord) -> bool:
         """Return True if two records are of one flight: their times overlap, or, without a clock, their keys agree."""
         if math.isnan(self.start_utc_s + other.start_utc_s):
             return self.key == other.key
-        return _overlap(self, other)  # the keys of two flights may agree: both begin with a full pack at rest
+        return _overlap(self, other)  # keys may agree by chance: many flights begin with a full pack at rest
 
     def is_of(self, key: str, start_utc_s: float) -> bool:
         """Return True if this flight is of the log with that key and start [s since 1970; NaN if unknown]."""
@@ -113,7 +113,7 @@ class LedgerFlight(NamedTuple):
     flight: FlightRecord
     known: PackBelief
     findings: tuple[PackFinding, ...]
-    fullest_cell_V: float = ORDINARY_FULL_V  # of all flights so far
+    fullest_cell_V: float = ORDINARY_FULL_V  # highest of all flights so far
 
 
 @dataclass(frozen=True, slots=True)

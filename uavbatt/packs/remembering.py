@@ -30,7 +30,7 @@ from uavbatt.telemetry.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
-LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a short hop shows nothing of the pack
+LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a shorter flight shows nothing of the pack
 LONGEST_STEP_S = 60.0
 LOOKS = 5  # times that the belief under load is read; more of them show no more
 
@@ -124,7 +124,7 @@ def _size(battery: BatteryFile, options: PackOptions, flight: Flight, rows: Sequ
 
 
 def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:
-    """The first and the last estimate over some rows, and the belief after them."""
+    """Return the first and the last estimate over some rows, and the belief after them."""
     if not rows:
         return [], None
     estimates = [estimate for estimate, _ in estimator.run(rows)]
@@ -132,7 +132,7 @@ def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], 
 
 
 def _last_loaded(rows: Sequence[Sample]) -> int | None:
-    """Index of the last row under load; None without LEAST_LOADED_S of load."""
+    """Return the index of the last row under load; None without LEAST_LOADED_S of load."""
     if len(rows) < 2:
         return None
     current_A = np.array([row.current_A for row in rows])

@@ -22,15 +22,15 @@ def retire_words(seen: Outlook) -> str:
         until = f"to {latest:.0f}" if math.isfinite(latest) else "or many more"
         return f"retire in about {median:.0f} flight{'s' * (round(median) != 1)} ({soonest:.0f} {until}) {at}"
     if math.isfinite(soonest):
-        return f"no end in sight, {at} not before {soonest:.0f} flights"
-    return "no end in sight"
+        return f"stays above {RETIRED_AT:.0%} for {soonest:.0f} flights or more"
+    return "no reason to retire it"
 
 
 def trend_words(trend: float, sd: float) -> str:
-    """Return how a number changes, in words: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
+    """Return how a number changes, in words: `−1.6 % a flight`, `steady`, `trend not known yet`."""
     if abs(trend) > INTERVAL_SD * sd:
         return f"{100.0 * trend:+.1f} % a flight".replace("-", "\N{MINUS SIGN}")
-    return "steady" if INTERVAL_SD * sd < STEADY else "cannot tell yet"
+    return "steady" if INTERVAL_SD * sd < STEADY else "trend not known yet"
 
 
 def pack_lines(pack: PackRow) -> list[str]:
@@ -51,8 +51,8 @@ def flight_line(after: LedgerFlight) -> str:
     flight, mean = after.flight, after.known.mean
     has_date = 0.0 < flight.start_utc_s <= LATEST_UTC_S
     when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if has_date else ""
-    told = f"says {math.exp(flight.told.log_Ah):.2f} Ah, {1000.0 * math.exp(flight.told.log_ohm):.1f} mohm"
-    known = f"known {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
+    told = f"this flight {math.exp(flight.told.log_Ah):.2f} Ah, {1000.0 * math.exp(flight.told.log_ohm):.1f} mohm"
+    known = f"all so far {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
     words = "; ".join(finding.words for finding in after.findings)
     temp = f"{flight.temp_mean_C:.0f} °C" if math.isfinite(flight.temp_mean_C) else "no temperature"
     soc = f"charge {flight.soc_start:.2f} to {flight.soc_end:.2f}"

@@ -29,10 +29,10 @@ from uavbatt.records import NAN, Flight, PackFacts
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
-START_SOC_SD = 0.01  # a charger that says full, a rested voltage that was read
+START_SOC_SD = 0.01  # by a charger that says full, or a rested voltage
 AMBIENT_SD_K = 2.0
 NOMINAL_CELL_V = 3.7
-EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
+EMPTY_SOC = 1e-3  # below it the pack counts as empty, whatever the fitted voltage is there
 VALID_WITHIN_K = 5.0
 
 
@@ -183,7 +183,7 @@ def is_outside(battery: BatteryFile, ambient_C: float) -> bool:
 
 
 def _range(battery: BatteryFile) -> tuple[float, float, str]:
-    """Lowest and highest temperature [°C] that were validated, else fitted; NaN where none is stated."""
+    """Return the lowest and the highest validated temperature [°C], else the fitted ones; NaN if none is stated."""
     certificate = battery.certificate
     if certificate.validated_ambient_C:
         return min(certificate.validated_ambient_C), max(certificate.validated_ambient_C), "validated"

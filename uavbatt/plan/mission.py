@@ -36,9 +36,9 @@ from uavbatt.records import Route
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
-MOST_HOVERS = 2.0  # a route is looked at for as long as so many hovers on this charge: it does not fit anyway
+MOST_HOVERS = 2.0  # a longer route is not simulated: it does not fit
 LEVELS = (0.05, 0.5, 0.95)
-NOT_REACHED = 0.5  # a place before which more of the draws end has no charge to speak of
+NOT_REACHED = 0.5  # no charge is shown where more of the draws have ended before
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 
@@ -57,7 +57,7 @@ class PlannedMission:
         found = path(self.mission, self.home, self.settings)
         if found.reason or not found.lands:
             raise UsageError(
-                f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
+                f"{self.mission.source}: {found.reason or 'it loiters without end, and its landing time is not known'}"
             )
         way = LegTiming(wind=(self.wind.north_ms, self.wind.east_ms))
         flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
@@ -169,10 +169,10 @@ def _fit(
     elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
-    known = ToCome(load, "route", "", ahead, elsewhere, None if elsewhere else home)
+    known = ToCome(load, "route", "", ahead, elsewhere)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.fly_ways(known, flying, way, planned.settings, turns_by_s)
+    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, way, planned.settings, turns_by_s)
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
@@ -182,13 +182,13 @@ def _fit(
 
 
 def _with_charge_shown(route: Route) -> Route:
-    """The route with a charge at touchdown that a pack can have, and none where most flights end before it."""
+    """Return the route with a charge at touchdown that a pack can have; NaN if most flights end before touchdown."""
     lo, middle, hi = _shown((route.soc_lo, route.soc, route.soc_hi), route.risk)
     return replace(route, soc=middle, soc_lo=lo, soc_hi=hi)
 
 
 def _shown(charge: Iterable[float], ended: float) -> tuple[float, ...]:
-    """The quantiles of a charge as they are shown where a share `ended` of the draws does not come."""
+    """Return the quantiles of a charge, within 0 to 1; NaN if too large a share `ended` of the draws ends before."""
     return tuple(math.nan if ended > NOT_REACHED else min(max(float(soc), 0.0), 1.0) for soc in charge)
 
 
@@ -236,4 +236,4 @@ def _speeds_remark(planned: PlannedMission) -> str:
         "return height": settings.return_height_m, "landing": settings.land_ms,
     }  # fmt: skip
     missing = [name for name, value in unknown.items() if not math.isfinite(value)]
-    return f"nothing says the speed of {', '.join(missing)}: ArduCopter's defaults" if missing else ""
+    return f"ArduCopter's defaults are used for {', '.join(missing)}" if missing else ""

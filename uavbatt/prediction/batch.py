@@ -19,7 +19,7 @@ from uavbatt.prediction.route_forecast import RouteQuestion, WaysState
 from uavbatt.prediction.take_off import AtTakeOff
 from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Normals, counted, time_to_end
 
-SIDE_BY_SIDE = 16  # more do not fit the cache
+SIDE_BY_SIDE = 16  # more questions do not fit into the cache
 
 
 class Question(NamedTuple):
@@ -30,17 +30,17 @@ class Question(NamedTuple):
 
     time_s: float
     horizon_s: float
-    pack: Pack  # with the limits of its weakest cell
+    pack: Pack  # its limits are those of its weakest cell
     x: Array
     power_W: Array
     ambient_C: float
     dt_s: Array
     reserve_soc: float
     by_rows: bool
-    unresolved_s: float = 0.0  # how long is a step within which the power may change
-    at_take_off: AtTakeOff | None = None  # what was expected then
-    route: RouteQuestion | None = None  # what else the forecast says, of the route and of the way home
-    ways: WaysState = WaysState()  # when they were asked last: if before `time_s`, it counts down
+    unresolved_s: float = 0.0  # length of a step within which the power may change
+    at_take_off: AtTakeOff | None = None  # the expectation at take-off
+    route: RouteQuestion | None = None  # the part about the route and the way home
+    ways: WaysState = WaysState()  # when that part was worked out last
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
@@ -68,12 +68,12 @@ def _together(few: list[Question]) -> list[EndTimes]:
 
     A shorter question is padded with its last step, which has no effect.
     """
-    if len(few) == 1:  # in flight: arrays of one dimension less
+    if len(few) == 1:  # in flight: one dimension less
         return [end_times(few[0])]
     steps = max(q.dt_s.size for q in few)
 
     def on(values: Iterable[Array]) -> Array:
-        """[steps, questions, ...], each going on as it ended."""
+        """Return [steps, questions, ...]: shorter questions go on with their last step."""
         every = list(values)
         out = np.empty((steps, len(every), *every[0].shape[1:]))
         for n, value in enumerate(every):

@@ -6,7 +6,8 @@ Two things lengthen a leg beyond its plan: a stretch of its time and the speedin
 
 and each flown leg improves both (Bayesian linear regression of two numbers), separately for short legs, of which the
 corners are the main part, and for long ones. The power level is the flown power over that of the vehicle's `[powers]`:
-it shows an undeclared payload.
+it shows an undeclared payload. Some autopilots climb along the whole leg, others at once and then fly on level; the
+latter asks more power for a shorter time, which ends flights.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
 from uavbatt.navigation import Wind
-from uavbatt.prediction.route_legs import Leg, Phase
+from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.records import NAN
 
 STRETCH, STRETCH_SD, SPEEDING, SPEEDING_SD = 1.03, 0.1, 0.32, 0.12
@@ -30,6 +31,11 @@ LEG_NOISE_S, LEG_NOISE = 2.0, 0.08
 WIND_TAU_S = 60.0
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
 LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
+
+
+# Height and run are compared where the two ways of climbing are far enough apart.
+TELLING_M, TELLING_SHARE = 5.0, 0.25
+EARLIEST_SHARE = 0.1  # of the run: before, the aircraft has only begun to move
 
 
 class Timing(NamedTuple):
@@ -78,12 +84,20 @@ class FlightLessons(NamedTuple):
     wind_east_ms: float = NAN
     level_s: float = 0.0  # seconds of flight that told the level, older ones counted less
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
+    climbed_first_s: float = 0.0  # seconds in which the height was ahead of the run, as if it climbed first
+    climbed_along_s: float = 0.0  # seconds in which it was not
 
     @property
     def is_possible(self) -> bool:
         """Return True if a flight can have taught this: a saved file may hold anything."""
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
-        return timed and self.level_s >= 0.0 and self.level_sum_s >= 0.0
+        summed = (self.level_s, self.level_sum_s, self.climbed_first_s, self.climbed_along_s)
+        return timed and all(value >= 0.0 for value in summed)
+
+    @property
+    def climbs_first(self) -> bool:
+        """Return True if the aircraft was seen to climb and sink as a leg begins, not along the whole leg."""
+        return self.climbed_first_s > self.climbed_along_s
 
     def with_timing(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
         """Return the lessons after the legs `behind` took `flown_s` [s] together.
@@ -101,6 +115,21 @@ class FlightLessons(NamedTuple):
         if all(leg.moving_s >= SHORT_LEG_S for leg in behind):
             return self._replace(long=self.long.after(flown_s, planned_s, speeds_ms))
         return self
+
+    def with_climb(self, leg: Leg, here: Point, row_s: float) -> FlightLessons:
+        """Return the lessons after `row_s` [s] on a leg, now at `here`: does the height change first, or along the leg?
+
+        A leg on which the two hardly differ tells nothing.
+        """
+        if abs(leg.rise_m) < TELLING_M or not leg.run_m > 0.0:
+            return self
+        run = 1.0 - math.dist(here[:2], leg.end[:2]) / leg.run_m
+        first = min(run * leg.moving_s / leg.vertical_s, 1.0)  # share of the height if it climbs at its full rate
+        if run < EARLIEST_SHARE or first - run < TELLING_SHARE:
+            return self
+        if (here.height_m - leg.begin.height_m) / leg.rise_m > 0.5 * (first + run):
+            return self._replace(climbed_first_s=self.climbed_first_s + row_s)
+        return self._replace(climbed_along_s=self.climbed_along_s + row_s)
 
     def with_wind(self, wind: Wind | None, row_s: float) -> FlightLessons:
         """Return the lessons with the wind, as the autopilot estimates it, averaged over a minute.

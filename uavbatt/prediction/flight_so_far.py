@@ -9,14 +9,14 @@ from uavbatt.prediction.load import LOWEST_POWER_W, RecentLoad
 from uavbatt.records import NAN, Sample
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
-CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance: once it has been armed for so long
-ALOFT_C = 0.05  # where its place says that it is in the air
+CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance, armed for so long
+ALOFT_C = 0.05  # if its position shows it in the air
 GROUNDED_C = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 FLYING_TAU_S = 3.0
-LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
+LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
-NEW_PIECES = 2  # of the powers flown: they may hold the rise itself
+NEW_PIECES = 2  # the newest powers may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 
@@ -49,7 +49,7 @@ class FlightSoFar(NamedTuple):
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> FlightSoFar:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
 
-        is_aloft : what its place or the autopilot says of being in the air (`Navigation.is_aloft`).
+        is_aloft : True in the air by position or by the autopilot, None if not known (`Navigation.is_aloft`).
         """
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
         now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
@@ -78,8 +78,8 @@ class FlightSoFar(NamedTuple):
     def _with_flag(self, sample: Sample) -> FlightSoFar:
         """Return the past with the row's armed flag.
 
-        An arming begins a flight, for the load before it was a payload's, unless the load carries the aircraft: then
-        the flag was wrong for a moment (one damaged heartbeat).
+        Arming begins a flight, because the load before it was that of a payload. If the load already carries the
+        aircraft, the flag was wrong for a moment (one damaged heartbeat).
         """
         if sample.armed is None or sample.armed is self.armed:
             return self
@@ -110,9 +110,10 @@ class FlightSoFar(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float, times: float) -> FlightSoFar:
-        """Begin the flight at this row if the power is so many times any before: that was spool-up, or waiting.
+        """Begin the flight at this row if its power is far above all power before it, which was spool-up or waiting.
 
-        The mean alone would be exceeded by every burst of a motor that runs by turns.
+        The power is compared with all powers before it, not with their mean, which every burst of a motor that runs at
+        intervals exceeds.
         """
         before_W = max((self.mean_W, *self.load.history.pieces_W[:-NEW_PIECES]))
         if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):

@@ -10,8 +10,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Status
 
-# Forecasts are averaged over 20 s for a person to read, near the end over a tenth of the time left: an average lags,
-# and in the last minute the lag of 20 s was a large part of the error.
+# Forecasts are averaged over 20 s, so that a person can read them, and near the end over a tenth of the time left: in
+# the last minute the lag of a 20 s average was a large part of the error.
 STEADY_TAU_S, STEADY_SHARE = 20.0, 0.1
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
@@ -36,7 +36,7 @@ class Forecast(NamedTuple):
     def counted_down(self, time_s: float, estimate: Estimate) -> Remaining:
         """Return the remaining time at a later time [s], with status and reason of the estimate there."""
         age_s = time_s - self.time_s
-        return Remaining(  # what is not known, NaN, stays so: it is the first of the two
+        return Remaining(  # max() keeps NaN, the first of the two
             time_s=time_s,
             remaining_s=max(self.median_s - age_s, 0.0),
             remaining_lo_s=max(self.lo_s - age_s, 0.0),

@@ -35,17 +35,19 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
-JUST_TAKEN_OFF = Notice("the load has just come", Kind.JUST_TAKEN_OFF)
-NO_BELIEF = Notice("no belief about the pack yet", Kind.NO_BELIEF)
-BEYOND_SIX_HOURS = Notice("the end may lie beyond six hours: the load is not that of a flight", Kind.BEYOND_SIX_HOURS)
-SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
-# Steps to the typical end, and the longest one [s]: gusts must be seen one by one (with 15 s worn packs are given 5 s
-# more at half time); for a steady power the longer steps move the end by less than 0.3 %.
+JUST_TAKEN_OFF = Notice("the load has just begun", Kind.JUST_TAKEN_OFF)
+NO_BELIEF = Notice("no estimate of the pack yet", Kind.NO_BELIEF)
+BEYOND_SIX_HOURS = Notice(
+    "the end may be more than six hours away: this is not the load of a flight", Kind.BEYOND_SIX_HOURS
+)
+SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
+# Number of steps to the typical end, and the longest step [s]. Gusts must be simulated one by one: with steps of 15 s
+# worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 SHORTEST_STEP_S = 1.0
-LONGEST_FLIGHT_S = 6 * 3600.0  # at the typical power, from all the charge that may be left
-LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
+LONGEST_FLIGHT_S = 6 * 3600.0  # longest time at the typical power with all the charge that may be left
+LONGEST_SHARE = 2.0  # horizon over the time at the typical power; the gentlest load is half
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +92,8 @@ class Forecaster:
         self._asked_s = NAN
         self._ways = WaysState()
         self._last: Forecast | None = None
-        self._progress = Progress()  # on the route
-        self._rested: Belief | None = None  # the last one on the ground
+        self._progress = Progress()  # progress on the route
+        self._rested: Belief | None = None  # the last belief on the ground
         self._at_take_off: AtTakeOff | None = None
 
     @property
@@ -199,7 +201,8 @@ class Forecaster:
             scenario,
             question.reserve_soc,
         )
-        route = route_forecast.fly_ways(known, flying, way_of(self._progress), navigation.settings, typical_s)
+        home = route_forecast.homewards(self.settings.load, self._progress, navigation, time_s)
+        route = route_forecast.fly_ways(known, home, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
@@ -230,7 +233,7 @@ class Forecaster:
         return None if question is None else self._forecast(question, end_times(question))
 
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
-        """Quantiles of the simulated ends."""
+        """Return the quantiles of the simulated ends."""
         time_s, horizon_s = question.time_s, question.horizon_s
         fresh = EndTimes(*(np.sort(np.minimum(_spread(question, times_s), horizon_s)) for times_s in ends))
         if question.at_take_off is not None:
@@ -262,7 +265,7 @@ class Forecaster:
         power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # that was the spool-up
+        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s:  # before it was spool-up
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
@@ -285,6 +288,6 @@ def _step_s(load: Load, typical_s: float) -> float:
 
 
 def _spread(question: Question, times_s: Array) -> Array:
-    """Return the ends of the samples [s], each moved within its step: a step does not say when in it a load comes."""
+    """Return the ends [s], each moved within its step, because a step does not tell when within it a load begins."""
     within_s = question.unresolved_s * sampling.within_step()
     return np.asarray(np.where(times_s > 0.0, np.maximum(times_s + within_s, 0.0), times_s))

@@ -19,12 +19,12 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.power_history import PowerHistory
 from uavbatt.prediction.swings import Swings, swung
 
-MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # of the averages
-UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # of a flight that has just begun
-STATED_SPREAD = 0.04  # an operator who states watts means about these watts
+MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # time constants of the averages
+UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # swings of a flight that has just begun
+STATED_SPREAD = 0.04  # relative sd of a power that the operator states
 SCENARIOS = 9
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
-LOWEST_POWER_W = 1.0  # of a load: a forecast divides by it
+LOWEST_POWER_W = 1.0  # least load: a forecast divides by it
 
 
 class Scenarios(NamedTuple):
@@ -87,7 +87,7 @@ def equal_levels(spread: float, count: int) -> Array:
 
 @cache
 def _middles(count: int) -> Array:
-    """Standard normals in the middle of `count` equal shares of probability."""
+    """Return standard normals in the middle of `count` equal shares of probability."""
     return np.array([NormalDist().inv_cdf((k + 0.5) / count) for k in range(count)])
 
 
@@ -148,7 +148,7 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
 def flown_again(scenarios: Scenarios, flown: PowerHistory) -> Scenarios:
     """Return the scenarios with the ups and downs of the flight so far, each from another place of it on.
 
-    What a flight has not shown in its first SHOWN_S is there as swings, less and less.
+    In the first SHOWN_S of a flight, swings stand for what it has not shown yet; they become less and less.
     """
     again = flown.again(stretches_s(scenarios.dt_s), scenarios.power_W.shape[1])
     power_W = np.maximum(scenarios.power_W * again, LOWEST_POWER_W)

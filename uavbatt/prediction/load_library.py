@@ -37,20 +37,20 @@ STITCHES = 3
 SHORTEST_REST_S = 60.0
 OWN_SCALING = 0.5
 LEAST_USUAL, USUAL_SDS = 0.1, 2.5  # nine of ten Matrice 100 flights are within 0.1 of the median of the others
-LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: a dropout or a glide asks nothing, and scales nothing
+LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: dropouts and glides do not scale
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
-# 0.25 the Matrice 100 flights gain as much.
+# 0.25 the Matrice 100 flights are predicted equally well.
 BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
-FAR_APART = 9.0  # in squared sds
-ANY_SHARE = 0.2  # of the weight is shared by all past flights equally: similar flights may differ from now on
+FAR_APART = 9.0  # squared standard deviations
+ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights may differ later
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 FLIGHT_SPREAD = 0.06
-CHANGE_SD = 0.1  # by which the load of a flight changes in earnest, as ln
+CHANGE_SD = 0.1  # a real change of a flight's load, as ln of the ratio
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class LearnedLoad:
     landed_s: Array
     mean_W: Array  # running mean power since take-off
     drawn_J: Array  # energy since take-off at each point of the grid, and one step behind its end: [flights, grid + 1]
-    powers: Powers = UNKNOWN  # for where a route says what is flown
+    powers: Powers = UNKNOWN  # used if a route is known
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the median of the flights' mean powers [W]; less for a flight that needs much less power."""
@@ -215,8 +215,8 @@ class UnknownAircraft:
     def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the flight so far [W], unless its last minute shows another; at least 1 W.
 
-        The minutes of a flight differ by chance, those of one whose motor runs by turns by much. A minute of far more
-        than that is another load; one of less may be a descent.
+        The minutes of a flight differ by chance, and by much if its motor runs at intervals. A minute far above that is
+        another load; a minute below it may be a descent.
         """
         by_chance = now.recent.history.minute_sd
         away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W)
@@ -230,7 +230,7 @@ class UnknownAircraft:
         flown = now.recent.history
         known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
         levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
-        share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
+        share = (np.arange(steps) + 0.5) / steps * 2.0  # the horizon is twice the typical time left
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)

@@ -23,7 +23,7 @@ from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.sampling import wander
 
 STEP_S = 20.0
-LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of each step
+LONGEST_STEP_S = 2.0 * STEP_S  # longest step if only the charge is needed, not the sag of each step
 
 
 class FlyingDraws(NamedTuple):
@@ -101,7 +101,7 @@ def charge_at(passed: FlyingDraws, edges_s: Array, at_s: Array) -> Array:
 
 
 def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
-    """Rows of `values` [edges, draws] at these times, linear between the edges; beyond the last it goes straight on."""
+    """Return rows of `values` [edges, draws] at these times, linear between edges and straight on beyond the last."""
     right = np.clip(np.searchsorted(edges_s, at_s), 1, edges_s.size - 1)
     share = (at_s - edges_s[right - 1]) / (edges_s[right] - edges_s[right - 1])
     return np.asarray(values[right - 1] + share[:, None] * (values[right] - values[right - 1]))
@@ -119,9 +119,9 @@ def above_cutoff_V(draws: FlyingDraws, at: Source, power_W: Array) -> Array:
 
 
 def _under(draws: FlyingDraws, at: Source, power_W: Array) -> UnderLoad:
-    """The cells under a power.
+    """Return the load of the cells under a power.
 
-    A pack far beyond empty, whose voltage has turned round, gives nothing: it must not be charged by the way.
+    A pack far beyond empty, with a reversed voltage, gives nothing: the simulation must not charge it.
     """
     installation = draws.installation
     size = installation.cells * installation.present_capacity_Ah

@@ -22,7 +22,7 @@ ALARM_S = 120.0
 ALARM = Notice(
     f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left", Kind.ALARM
 )
-ENDS_SOON = Notice(  # where no time can be said
+ENDS_SOON = Notice(  # used if no time is known
     "the measured voltage falls to the cut-off within about two minutes", Kind.ENDS_SOON
 )
 TURN_BACK = Notice(
@@ -38,7 +38,7 @@ class Pending(NamedTuple):
     forecaster: Forecaster | None
     refusal: str
     question: Question | None = None
-    voltage_left_s: float = math.inf  # until the measured voltage itself is at the cut-off
+    voltage_left_s: float = math.inf  # time until the measured voltage itself reaches the cut-off
 
     def finish(self, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
         """Return the estimate and the remaining time; `ends` answers the question, if there is one."""
@@ -78,7 +78,7 @@ def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Esti
 
 
 def _finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
-    """The same of rows whose forecasts are simulated at once."""
+    """Yield the results of rows whose forecasts are simulated at once, as `finished` does."""
     ends = iter(answers([row.question for row in waiting if row.question is not None]))
     for row in waiting:
         yield row.finish(next(ends) if row.question is not None else None)

@@ -1,8 +1,8 @@
 """The powers that a flight has asked so far, in pieces of seconds: what it may ask again.
 
-A motor that runs by turns (a glider's, a racer's, the lift of a VTOL, hops from field to field) asks several times its
-mean for some seconds, and the end comes then. No normal law around the mean says so; the flight itself does. So the
-power to come is the flight flown again, each scenario from another place of it on.
+A motor that runs at intervals (glider, racer, lift of a VTOL, hops from field to field) draws several times its mean
+power for some seconds, and the flight ends in such seconds. A normal distribution around the mean does not show this;
+the flight itself does. So the power to come is that of this flight flown again, each scenario from another place in it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 
-SHORTEST_PIECE_S = 5.0  # the mean that ends a flight
+SHORTEST_PIECE_S = 5.0  # the mean over 5 s that ends a flight
 MOST_PIECES = 256
-LONGEST_ROW_S = 30.0  # nobody knows what was asked in a longer gap
-# Before a flight has shown its own: manoeuvres of 15 % move the mean of a minute by a tenth. It counts as two minutes.
+LONGEST_ROW_S = 30.0  # the power in a longer gap is not known
+# Used before a flight has shown its own: manoeuvres of 15 % move a minute's mean by a tenth. It counts as two minutes.
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 
 

@@ -20,9 +20,9 @@ from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 from uavbatt.records import NAN
 
-STRAIGHT = 0.9  # of the speed: within 26 degrees of the way home
+STRAIGHT = 0.9  # share of the speed towards home: within 26 degrees of the way home
 LEAST_TIMING_SD = 0.02
-FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
+FARTHEST_HOVER_MS = 2.0  # a return that moves faster has finished its climb
 LEAST_SINKING_MS = 0.2
 RETURNS = (Mode.RETURN, Mode.RETURN_BY_TRACK)
 
@@ -81,13 +81,13 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 
 def way_of(progress: Progress) -> LegTiming:
-    """Return the timing and the wind by which legs will be flown, from those flown so far."""
+    """Return timing, wind and way of climbing for the legs to come, as learned from the legs flown so far."""
     known = progress.lessons
-    return LegTiming(known.short, known.long, known.wind)
+    return LegTiming(known.short, known.long, known.wind, known.climbs_first)
 
 
-def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """Return the way home from where the aircraft is, or the reason why it is not known."""
+def why_no_home(navigation: Navigation, time_s: float) -> str:
+    """Return why the way home from here is not known; empty if it is known."""
     if navigation.home is None:
         return "home is not known"
     here = here_at(time_s, navigation)
@@ -97,6 +97,14 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
         return elsewhere
     if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
         return "the aircraft returns along its own track, which is not known"
+    return ""
+
+
+def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
+    """Return the way home from where the aircraft is, or the reason why it is not known."""
+    here, reason = here_at(time_s, navigation), why_no_home(navigation, time_s)
+    if here is None or reason:
+        return reason
     legs = legs_table(_legs_home(here, navigation))
     return Ahead(here, way_of(progress).pieces(legs, is_flying=navigation.mode in RETURNS))
 
@@ -116,7 +124,7 @@ def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:
-    """Return True if the aircraft flies straight towards home, or is there, so that the rest of its track is a line."""
+    """Return True if the aircraft flies straight towards home, or is there: the rest of its track is then a line."""
     distance_m, position = math.hypot(here.north_m, here.east_m), navigation.position
     if distance_m < OVER_HOME_M or position is None:
         return True
@@ -126,7 +134,7 @@ def _heads_home(here: Point, navigation: Navigation) -> bool:
 
 
 def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
-    """Return the rest of the present return: its climb is over when the aircraft moves towards home or is over home.
+    """Return the rest of the present return; its climb is over once the aircraft nears home, or is over home.
 
     Over home it waits until it descends; when this wait began is not known.
     """
@@ -141,7 +149,7 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _rest_by_plan(way: LegTiming, progress: Progress, time_s: float) -> Pieces:
-    """The rest of the route where only the autopilot's progress is known: the legs of the present item by the clock."""
+    """Return the rest of the route by the clock, for an aircraft whose position is not known."""
     table, item = progress.path.table, progress.item
     present = way.pieces(table.of(item))
     flown_s = max(time_s - progress.leg_since_s, 0.0)
@@ -151,7 +159,7 @@ def _rest_by_plan(way: LegTiming, progress: Progress, time_s: float) -> Pieces:
 
 
 def _rest_from(way: LegTiming, progress: Progress, here: Point, time_s: float) -> Pieces:
-    """The rest of the route from where the aircraft is."""
+    """Return the rest of the route from the position of the aircraft."""
     later = progress.path.table.of(slice(progress.at + progress.behind + 1, None))
     return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later), is_flying=True)
 
@@ -159,7 +167,7 @@ def _rest_from(way: LegTiming, progress: Progress, here: Point, time_s: float) -
 def _present(progress: Progress, here: Point, time_s: float) -> Leg:
     """Return what is left of the leg that is flown."""
     leg = progress.leg
-    if leg.circle_m > 0.0:  # its place on the circle does not say how many turns are left
+    if leg.circle_m > 0.0:  # the position does not tell how many turns are left
         flown = (time_s - progress.behind_s) / progress.lessons.expected_s(leg)
         return leg._replace(run_m=leg.run_m * min(max(1.0 - flown, 0.0), 1.0))
     if math.isfinite(progress.arrived_s):

@@ -15,7 +15,7 @@ from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
-from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
+from uavbatt.prediction.route_ahead import Ahead, ahead, home_now, why_no_home
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
@@ -30,10 +30,10 @@ NAMES = {
     LoggedLoad: "log",
     ConstantLoad: "stated",
 }
-IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
-HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
-# Both ways cost as much as the end itself, and what was said of them counts down. They are asked about anew when so
-# much of the time at the typical power has passed, after 4 s at the soonest and 10 s at the latest.
+IN_TIME = 0.05  # a route with a smaller risk needs no turn-back
+HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back later
+# Route and way home cost as much work as the end itself. They are worked out anew after this share of the time at the
+# typical power, but not within 4 s and at least every 10 s; in between the last answer counts down.
 WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
@@ -45,8 +45,7 @@ class ToCome(NamedTuple):
     name: str
     reason: str  # why the route is not used
     route: Ahead | None
-    home_reason: str
-    homewards: RouteLoad | None  # powers and level for the way home
+    home_reason: str  # why the way home is not known; empty if it is known
 
 
 class RouteQuestion(NamedTuple):
@@ -81,17 +80,23 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
-    home: Ahead | str = home_now(progress, navigation, time_s)
+    home_reason = why_no_home(navigation, time_s)
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
-        home = home if isinstance(home, str) else UNTOLD_POWER
-    homewards = RouteLoad(home, powers, level, level_sd) if isinstance(home, Ahead) else None
-    home_reason = home if isinstance(home, str) else ""
+        home_reason = home_reason or UNTOLD_POWER
     if isinstance(route, str):
-        return ToCome(load, name, route, None, home_reason, homewards)
+        return ToCome(load, name, route, None, home_reason)
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd), "route"
-    return ToCome(load, name, "", route, home_reason, homewards)
+    return ToCome(load, name, "", route, home_reason)
+
+
+def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
+    """Return the way home from here with powers and level of the aircraft; None if one of them is not known."""
+    powers = powers_of(load)
+    level, level_sd = progress.lessons.level(powers)
+    home = home_now(progress, navigation, time_s)
+    return RouteLoad(home, powers, level, level_sd) if isinstance(home, Ahead) and math.isfinite(level) else None
 
 
 def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysState:
@@ -116,32 +121,33 @@ class Flying(NamedTuple):
 
 
 def fly_ways(
-    known: ToCome, flying: Flying, way: LegTiming, settings: ReturnSettings, typical_s: float
+    known: ToCome, home: RouteLoad | None, flying: Flying, way: LegTiming, settings: ReturnSettings, typical_s: float
 ) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
-    The draws fly on once: through the instants of turning to the last touchdown.
+    The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
+    here; None if it is not known.
     """
     asked = RouteQuestion(known.name, _reason(known), None, None, None)
-    scenario = flying.scenario % SCENARIOS  # of another load the numbers of scenarios mean nothing
-    homewards, turn_at_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
+    scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
+    turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
         stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]
         asked = asked._replace(route_s=known.route.touchdown_s * stretch)
         last_s = np.minimum(np.max(known.route.touchdown_s * stretch, keepdims=True), flying.dt_s.sum())
-    if homewards is not None:
-        here = homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
+    if home is not None:
+        here = home.ahead.begin  # without a route the aircraft is assumed to stay where it is
         flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
         turn_at_s = turn_instants(min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf))
-    if asked.route_s is None and homewards is None:
+    if asked.route_s is None and home is None:
         return asked
     edges_s = edges_through(np.unique(np.concatenate([turn_at_s, last_s])))
     passed = fly_draws(start_draws(flying.pack, flying.x, flying.ambient_C), flying.power_W, flying.dt_s, edges_s)
     if asked.route_s is not None:
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
-    if homewards is not None:
+    if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = Turning(at_turn, turn_at_s, flown, homewards, scenario, way, settings, flying.reserve_soc)
+        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, flying.reserve_soc)
         asked = asked._replace(turning=turning)
     return asked
 
@@ -159,7 +165,7 @@ def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
         said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
     if asked.turning is None:
         return said
-    is_in_time = said.risk <= IN_TIME  # all the later instants are most of the work
+    is_in_time = said.risk <= IN_TIME  # then the later instants, most of the work, are not needed
     turn = fly_home(asked.turning.now if is_in_time else asked.turning)
     home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)

@@ -1,6 +1,6 @@
 """The legs of one mission item: a return, a landing and turns have several, but the autopilot reports only the item.
 
-The position shows which leg is flown; on a circle, or without a position, the clock does.
+The position shows which leg is flown; on a circle, or without a position, the clock decides.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from uavbatt.prediction.route_legs import Leg, Phase, Point
 
 ARRIVED_M = 4.0
 DOWN_M = 0.5
-ASTRAY_M = 15.0  # a climb ends, and a descent begins, no further than this from where the plan has it
-SINKING_MS = 0.2  # a wait at another height than the plan's is no descent
-NEARING_MS = 1.0  # towards the centre: who nears it is not on the circle yet
+ASTRAY_M = 15.0  # a climb ends, and a descent begins, at most so far from the planned place
+SINKING_MS = 0.2  # a slower fall is a wait at another height than planned
+NEARING_MS = 1.0  # towards the centre: an aircraft that nears it is not on the circle yet
 
 
 def item_end(legs: Sequence[Leg], at: int) -> int:
@@ -31,14 +31,14 @@ def is_there(leg: Leg, here: Point) -> bool:
     if leg.phase is Phase.LANDING or leg.circle_m > 0.0:
         return False
     if leg.phase is Phase.HOME and leg.run_m > 0.0:
-        return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at whichever height it returned
+        return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at any height
     return math.dist(here, leg.end) < ARRIVED_M
 
 
 def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, waited_s: float) -> bool:
     """Return True if a leg that is no circle is over and the next one of its item is flown.
 
-    waited_s : since the aircraft is at the leg's end; NaN where it is not
+    waited_s : time so far at the leg's end [s]; NaN if the aircraft is not there
     """
     if leg.phase is Phase.LANDING:
         return here.height_m <= leg.end.height_m + DOWN_M
@@ -51,13 +51,13 @@ def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, 
 
 
 def _has_sunk(leg: Leg, here: Point, position: Position | None) -> bool:
-    """True where the aircraft descends below the end of a leg."""
+    """Return True if the aircraft descends below the end of a leg."""
     is_below = here.height_m < leg.end.height_m - ARRIVED_M and math.dist(here[:2], leg.end[:2]) < ASTRAY_M
     return is_below and not (position is not None and position.up_ms > -SINKING_MS)
 
 
 def _is_on_circle(circle: Leg, here: Point, position: Position | None) -> bool:
-    """True where the autopilot has reached the edge, as ArduCopter does, or the centre, and nears it no more."""
+    """Return True if the aircraft is on its circle: it has reached its edge or centre, and nears it no more."""
     north_m, east_m = circle.end.north_m - here.north_m, circle.end.east_m - here.east_m
     centre_m = math.hypot(north_m, east_m)
     if centre_m > circle.circle_m + ARRIVED_M or abs(here.height_m - circle.end.height_m) > ARRIVED_M:

@@ -12,7 +12,7 @@ from uavbatt.battery.model import Array
 
 
 class Phase(IntEnum):
-    """A leg belongs to one of these phases of a flight."""
+    """A Phase names the part of a flight to which a leg belongs."""
 
     TAKE_OFF = 0
     ROUTE = 1
@@ -21,7 +21,7 @@ class Phase(IntEnum):
 
 
 class Point(NamedTuple):
-    """A point lies so many metres north and east of home, and above it."""
+    """A Point is a place in metres north and east of home, and above it."""
 
     north_m: float
     east_m: float
@@ -29,18 +29,18 @@ class Point(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """A leg is a straight way from one point to another with its speed limits, and the wait at its end."""
+    """A Leg is a straight way from one point to another with its speed limits, and the wait at its end."""
 
-    seq: int  # of the mission item; -1 on the way home
+    seq: int  # number of the mission item; -1 on the way home
     phase: Phase
     begin: Point
     end: Point
-    run_m: float  # horizontal; of a curve its length
+    run_m: float  # horizontal length, along the curve if it is one
     speed_ms: float
     climb_ms: float
     descent_ms: float
     hold_s: float = 0.0
-    circle_m: float = 0.0  # radius of the circle around its end that it is; 0: it is straight
+    circle_m: float = 0.0  # radius of a circle around `end`; 0 if the leg is straight
 
     @property
     def rise_m(self) -> float:
@@ -50,9 +50,13 @@ class Leg(NamedTuple):
     @property
     def moving_s(self) -> float:
         """Return the time of the movement at the planned speeds [s]."""
+        return max(self.run_m / self.speed_ms, self.vertical_s)
+
+    @property
+    def vertical_s(self) -> float:
+        """Return the time that the height alone asks at the planned climb or descent rate [s]."""
         rise_m = self.rise_m
-        vertical_s = rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
-        return max(self.run_m / self.speed_ms, vertical_s)
+        return rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
 
     @property
     def fastest_ms(self) -> float:
@@ -72,6 +76,7 @@ class LegsTable(NamedTuple):
     end: Array  # [legs, 3]
     run_m: Array
     hold_s: Array
+    vertical_s: Array
     moving_s: Array
     fastest_ms: Array
 
@@ -90,7 +95,9 @@ def legs_table(legs: Sequence[Leg]) -> LegsTable:
     moved, end = raw[:, 5:8] - raw[:, 2:5], raw[:, 5:8]
     run_m, speed_ms, climb_ms, descent_ms, hold_s = raw[:, 8:].T
     north_m, east_m, rise_m = moved.T
-    moving_s = np.maximum(run_m / speed_ms, np.where(rise_m > 0.0, rise_m / climb_ms, -rise_m / descent_ms))
+    vertical_s = np.where(rise_m > 0.0, rise_m / climb_ms, -rise_m / descent_ms)
+    moving_s = np.maximum(run_m / speed_ms, vertical_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         fastest_ms = np.where(moving_s > 0.0, np.maximum(run_m, np.abs(rise_m)) / moving_s, 0.0)
-    return LegsTable(raw[:, 0], raw[:, 1], north_m, east_m, rise_m, end, run_m, hold_s, moving_s, fastest_ms)
+    seq, phase = raw[:, :2].T
+    return LegsTable(seq, phase, north_m, east_m, rise_m, end, run_m, hold_s, vertical_s, moving_s, fastest_ms)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,11 +16,11 @@ from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings
 
 SCENARIOS = 64
-SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
-GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
+SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight changes from slow to fast, to which `fast_sd` applies
+GUSTS = 0.2  # sd of the airspeed over the wind speed, as over open land
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RouteLoad:
     """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
 
@@ -35,13 +36,13 @@ class RouteLoad:
             return max(self.level * self.powers.hover_W, LOWEST_POWER_W)
         return max(float(np.average(self.piece_W, weights=lengths_s)), LOWEST_POWER_W)
 
-    @property
+    @cached_property
     def piece_W(self) -> Array:
         """Return the middle power of each piece [W]."""
         gained_ms, flown_W = self.ahead.pieces.gained_ms, self.flown_W
         return np.where(gained_ms > 0.0, turning_power(self.powers, flown_W, gained_ms, self.level), flown_W)
 
-    @property
+    @cached_property
     def flown_W(self) -> Array:
         """Return the power of each piece [W] once its speed is gained."""
         return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
@@ -93,11 +94,11 @@ def fast_shares(load: RouteLoad) -> Array:
     pieces = load.ahead.pieces
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
     steep = np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0)
-    return np.maximum(fast, steep) + beyond_learned(load.powers, pieces.airspeed_ms)
+    return np.hypot(np.maximum(fast, steep), beyond_learned(load.powers, pieces.airspeed_ms))
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:
-    """Energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios]; the last piece has no end."""
+    """Return the energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios]."""
     begins_s = np.concatenate([[0.0], ends_s])
     before_J = np.concatenate([np.zeros_like(watts[:1]), np.cumsum(watts[:-1] * np.diff(begins_s)[:, None], axis=0)])
     piece = np.searchsorted(ends_s, at_s.T, side="right").T  # times in ascending order are found in half the time

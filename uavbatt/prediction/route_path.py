@@ -1,7 +1,7 @@
 """The way of a mission as legs in metres around home, and the way home from any point.
 
-A leg ends at a point and may wait there. Its time at the planned speeds is the longest of what its run asks at the
-ground speed and its rise at the climb or descent rate. What is not understood gives no legs but a reason.
+A leg ends at a point and may wait there. Its time at the planned speeds is the longer of two: its run at the ground
+speed, and its rise at the climb or descent rate. A mission that is not understood gives a reason instead of legs.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import NamedTuple
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
 from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, legs_table
 
-METRES_PER_DEGREE = 111_194.9  # of a sphere of 6371 km
+METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
 ENDLESS_S = 1e6  # a loiter without end
 SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
-# Where the vehicle does not say: ArduCopter's defaults.
+# ArduCopter's defaults, used if the vehicle does not state its own.
 CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
 CIRCLE_RADIUS_M = 10.0
-ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these fly nowhere
+ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Path:
 
     legs: tuple[Leg, ...] = ()
     reason: str = ""
-    lands: bool = True  # false: it waits somewhere without end
+    lands: bool = True  # False: it waits somewhere without end
 
     @cached_property
     def table(self) -> LegsTable:
@@ -48,7 +48,7 @@ class _Speeds(NamedTuple):
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
     """Return a place as a point in metres around home."""
-    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, across 180° as well
+    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, also across 180°
     east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
     return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
 
@@ -84,7 +84,7 @@ def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
 
 
 def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
-    """The height at which the autopilot flies home: never below its own."""
+    """Return the height at which the autopilot flies home; it is never below the present height."""
     asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
     cone = finite_or(settings.return_cone_slope, math.inf)
     asked_m = min(asked_m, cone * run_m)
@@ -114,7 +114,7 @@ def _speeds(settings: ReturnSettings) -> _Speeds:
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included.
 
-    Where it is not known the path has no legs but a reason.
+    If it is not known, the path has a reason instead of legs.
     """
     if mission.reason:
         return Path(reason=mission.reason)
@@ -160,7 +160,7 @@ def returned(legs: list[Leg], settings: ReturnSettings) -> Path:
 
 
 def _flown(mission: Mission) -> Iterator[MissionItem | None]:
-    """The items in the order in which they are flown; None when there is no end of it."""
+    """Yield the items in the order in which they are flown; None for a mission without an end."""
     by_seq = {item.seq: index for index, item in enumerate(mission.items)}
     left = {item.seq: item.repeats for item in mission.items if item.action is Action.JUMP}
     index = 1 if mission.has_home_item and mission.items and mission.items[0].seq == 0 else 0
@@ -178,13 +178,13 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
 
 
 def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _Speeds:
-    """The speeds after an item that changes one; without a speed it is the vehicle's own again."""
+    """Return the speeds after an item that changes one; an item without a speed restores the vehicle's own."""
     kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
     return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(_speeds(settings), kind))})
 
 
 def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
-    """The legs of one item, or why they are not known."""
+    """Return the legs of one item, or the reason why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"
     if item.action in (Action.OTHER, Action.JUMP):
@@ -214,7 +214,7 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
 
 
 def _at_height(item: MissionItem, at: Point) -> MissionItem:
-    """A landing flies to its place at the height where it begins."""
+    """Return the landing with the height where it begins: the vehicle flies to the place at that height."""
     return MissionItem(item.seq, item.action, item.lat_deg, item.lon_deg, at.height_m)
 
 

@@ -1,11 +1,12 @@
 """Legs become pieces: some seconds of one kind of flight each, with airspeed and climb, as columns.
 
-A leg gives up to three pieces: the aircraft turns and speeds up, flies on, and waits at its end. A route has hundreds
-of them and the wind changes with every row, so that they are worked out as columns at every forecast.
+A leg gives up to four pieces: the aircraft turns and speeds up, climbs, flies on, and waits at its end. A route has
+hundreds of them and the wind changes with every row, so that they are worked out as columns at every forecast.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +18,8 @@ from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
 
 Column = NDArray[Any]
-THROUGH = 0.5  # cosine of the sharpest corner that is flown through: 60 degrees; before others the aircraft stops
-CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the wind meets it from all sides
+THROUGH = 0.5  # cosine of 60 degrees: before a sharper corner the aircraft stops
+CURVE = 1.5  # a leg so many times longer than the straight line is a curve
 
 
 class Pieces(NamedTuple):
@@ -29,10 +30,10 @@ class Pieces(NamedTuple):
     climb_ms: Array
     taking_off: Column  # bool
     landing: Column  # bool
-    seq: Array  # of the mission item; -1 on the way home
+    seq: Array  # number of the mission item; -1 on the way home
     end: Array  # [pieces, 3]: where they end, as a `Point`
     length_sd_s: Array
-    gained_ms: Array  # the ground speed that is gained in it from rest; 0: it flies on
+    gained_ms: Array  # ground speed gained from rest in this piece; 0 if it flies on
 
     @property
     def ends_s(self) -> Array:
@@ -56,11 +57,16 @@ def waiting(at: Point, length_s: float) -> Pieces:
 
 
 class LegTiming(NamedTuple):
-    """Way turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s]."""
+    """LegTiming turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s].
+
+    climbs_first : the aircraft climbs and sinks at its full rate as a leg begins, and then flies on level; else the
+    climb lasts as long as the leg.
+    """
 
     short: Timing = Timing()
     long: Timing = Timing()
     wind: tuple[float, float] = (0.0, 0.0)
+    climbs_first: bool = False
 
     def pieces(self, leg: LegsTable, is_flying: bool = False) -> Pieces:
         """Return the pieces of these legs in order; `is_flying` if the aircraft is on the first one already."""
@@ -71,7 +77,6 @@ class LegTiming(NamedTuple):
         """Return the pieces of these legs in order, and the index of the leg of each."""
         moving_s, sd_s = self._moving_s(leg)
         with np.errstate(invalid="ignore", divide="ignore"):
-            climb_ms = np.where(moving_s > 0.0, leg.rise_m / moving_s, 0.0)
             air_ms = np.where(moving_s > 0.0, self._airspeed_ms(leg, moving_s), np.hypot(*self.wind))
             speed_ms = np.where(moving_s > 0.0, leg.run_m / moving_s, 0.0)
         none, landing = np.zeros_like(moving_s), leg.phase == Phase.LANDING
@@ -79,20 +84,19 @@ class LegTiming(NamedTuple):
         if is_flying:
             gained_ms[:1] = 0.0
         speeding_s = np.where(gained_ms > 0.0, np.minimum(moving_s, TURN_S), 0.0)
-        share = np.divide(speeding_s, moving_s, out=none.copy(), where=moving_s > 0.0)
-        moved = Pieces(
-            moving_s - speeding_s, air_ms, climb_ms, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end,
-            (1.0 - share) * sd_s, none,
+        whole = Pieces(moving_s, air_ms, none, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end, sd_s, none)
+        held = whole._replace(
+            length_s=leg.hold_s, airspeed_ms=none + np.hypot(*self.wind), taking_off=np.zeros_like(landing),
+            length_sd_s=none,
         )  # fmt: skip
-        left_m = (1.0 - share)[:, None] * np.stack([leg.north_m, leg.east_m, leg.rise_m], axis=1)
-        speeding = moved._replace(
-            length_s=speeding_s, end=leg.end - left_m, length_sd_s=share * sd_s, gained_ms=gained_ms
-        )
-        held = moved._replace(
-            length_s=leg.hold_s, airspeed_ms=none + np.hypot(*self.wind), climb_ms=none,
-            taking_off=np.zeros_like(landing), length_sd_s=none,
-        )  # fmt: skip
-        kinds = (speeding, moved, held)
+        edges_s = [none, speeding_s, moving_s]
+        climbing_s = moving_s
+        if self.climbs_first:
+            climbing_s = np.where(leg.run_m > 0.0, np.minimum(leg.vertical_s, moving_s), moving_s)
+            edges_s.insert(2, np.maximum(speeding_s, climbing_s))
+        moved = [_cut(leg, whole, climbing_s, begin_s, end_s) for begin_s, end_s in pairwise(edges_s)]
+        moved[0] = moved[0]._replace(gained_ms=gained_ms)
+        kinds = (*moved, held)
         every = Pieces(*(np.stack(c, axis=1).reshape(-1, *c[0].shape[1:]) for c in zip(*kinds, strict=True)))
         flown = np.flatnonzero(every.length_s > 0.0)
         return every.of(flown), flown // len(kinds)
@@ -107,14 +111,34 @@ class LegTiming(NamedTuple):
         return moving_s, sd_s
 
     def _airspeed_ms(self, leg: LegsTable, moving_s: Array) -> Array:
-        """Speed through the air; on a curve the wind comes from everywhere."""
+        """Return the speed through the air; on a curve the wind comes from every side."""
         north_ms, east_ms = leg.north_m / moving_s - self.wind[0], leg.east_m / moving_s - self.wind[1]
         on_curve_ms = np.hypot(leg.run_m / moving_s, np.hypot(*self.wind))
         return np.where(leg.run_m > CURVE * np.hypot(leg.north_m, leg.east_m), on_curve_ms, np.hypot(north_ms, east_ms))
 
 
+def _cut(leg: LegsTable, whole: Pieces, climbing_s: Array, begin_s: Array, end_s: Array) -> Pieces:
+    """Return the part of each leg's movement between two times [s] after it begins.
+
+    whole : each leg's movement as one piece, without its climb; climbing_s : how long it climbs, from its begin on [s]
+    """
+    length_s = end_s - begin_s
+    run, climbed = _share(end_s, whole.length_s), _share(np.minimum(end_s, climbing_s), climbing_s)
+    rise_m = leg.rise_m * (climbed - _share(np.minimum(begin_s, climbing_s), climbing_s))
+    left_m = np.stack([(1.0 - run) * leg.north_m, (1.0 - run) * leg.east_m, (1.0 - climbed) * leg.rise_m], axis=1)
+    return whole._replace(
+        length_s=length_s, climb_ms=_share(rise_m, length_s), end=leg.end - left_m,
+        length_sd_s=_share(length_s, whole.length_s) * whole.length_sd_s,
+    )  # fmt: skip
+
+
+def _share(part: Array, of: Array) -> Array:
+    """Return part / of; 0 where `of` is not positive."""
+    return np.divide(part, of, out=np.zeros_like(of), where=of > 0.0)
+
+
 def _stops_before(leg: LegsTable) -> Column:
-    """True for each leg that begins from rest: after a wait, and round a sharp corner."""
+    """Return True for each leg that begins from rest: after a wait, or after a sharp corner."""
     north_m, east_m = leg.north_m, leg.east_m
     length_m = np.hypot(north_m, east_m)
     along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]

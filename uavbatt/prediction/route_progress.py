@@ -18,9 +18,9 @@ STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
-ASTRAY, ASTRAY_S = 0.1, 4.0  # the autopilot's word of a new item may be some seconds old
+ASTRAY, ASTRAY_S = 0.1, 4.0  # a new item may be reported some seconds late
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
-STEADY_MS = 0.3  # the velocity of a hover in gusts changes by about so much in TOLD_PERIOD_S
+STEADY_MS = 0.3  # change of velocity in TOLD_PERIOD_S of a hover in gusts
 
 
 class Movement(NamedTuple):
@@ -35,18 +35,18 @@ class Movement(NamedTuple):
 class Progress(NamedTuple):
     """Progress remembers how far the aircraft is on its route; it is a value, replaced by `after`."""
 
-    known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
+    known_by: tuple[Mission, Home, ReturnSettings] | None = None  # the path was made from these
     path: Path = Path()
-    at: int = -1  # the first leg of the item that is flown to
+    at: int = -1  # index of the first leg of the present item
     leg_since_s: float = NAN
-    is_timed: bool = False  # that leg, from its planned begin on: its time says how long planned legs last
-    behind: int = 0  # legs of that item that are over, by the place
-    behind_s: float = NAN  # since when the leg after them is flown
-    arrived_s: float = NAN  # since when the aircraft waits at that leg's end
+    is_timed: bool = False  # that leg began as planned, so that its time counts
+    behind: int = 0  # number of legs of that item that are over, by position
+    behind_s: float = NAN  # time at which the present leg began
+    arrived_s: float = NAN  # time at which the aircraft arrived at that leg's end
     time_s: float = NAN
-    told_s: float = NAN  # when the power was last held against the level
-    moved: Position | None = None  # the place and velocity of TOLD_PERIOD_S ago
-    is_steady: bool = True  # it keeps its velocity: the power belongs to airspeed and climb, not to a turn
+    told_s: float = NAN  # time at which the power was last compared with the model
+    moved: Position | None = None  # position and velocity TOLD_PERIOD_S ago
+    is_steady: bool = True  # the velocity is kept, so that the power is not that of a turn
     lessons: FlightLessons = FlightLessons()
 
     def after(
@@ -56,7 +56,7 @@ class Progress(NamedTuple):
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(time_s, navigation)._steadied(navigation.position)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
-        moved = moved._followed(time_s, navigation) if navigation.mode is Mode.MISSION else moved._paused(row_s)
+        moved = moved._followed(time_s, navigation, row_s) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
@@ -67,7 +67,7 @@ class Progress(NamedTuple):
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
-        """Return the progress at a position; whether it is steady follows from the velocity TOLD_PERIOD_S ago."""
+        """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
         is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
         return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
 
@@ -90,7 +90,7 @@ class Progress(NamedTuple):
         return moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, behind=0, behind_s=since_s, arrived_s=NAN)
 
     def _replanned(self, found: Path, is_same_mission: bool) -> Progress:
-        """On another path. Where home or a speed has changed, not the mission, the progress on its items stays."""
+        """Return the progress on another path; the same mission with another home or speed keeps its progress."""
         if found == self.path:  # the same mission uploaded twice changes nothing
             return self
         changed = self._replace(path=found, is_timed=False)  # the running leg began on the other path
@@ -100,7 +100,7 @@ class Progress(NamedTuple):
         return fresh if found.legs[self.at].phase is Phase.HOME else changed  # a return flies to the new home
 
     def _is_alike(self, found: Path) -> bool:
-        """True if the other path has the same items as far as the one that is flown, in as many legs."""
+        """Return True if the other path has the same items, in as many legs, up to the one that is flown."""
         last = self.item.stop + 1
         return [leg.seq for leg in found.legs[:last]] == [leg.seq for leg in self.path.legs[:last]]
 
@@ -119,18 +119,20 @@ class Progress(NamedTuple):
         """Return the leg that is flown: the first of its item that is not over."""
         return self.path.legs[self.at + self.behind]
 
-    def _followed(self, time_s: float, navigation: Navigation) -> Progress:
-        """Which leg of its item the aircraft flies, never one before, and since when it waits at that leg's end."""
+    def _followed(self, time_s: float, navigation: Navigation, row_s: float) -> Progress:
+        """Return the progress on the present item by the place; it never goes back, and notes waits at a leg's end."""
         here = here_at(time_s, navigation)
         if here is None or not self.is_on_path:
             return self
         moved, legs = self._arrived(time_s, here), self.path.legs[self.item]
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
             moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(time_s, here)
+        if moved.is_timed and moved.behind == 0 and moved.leg.phase is Phase.ROUTE and not moved.leg.circle_m > 0.0:
+            return moved._replace(lessons=moved.lessons.with_climb(moved.leg, here, row_s))
         return moved
 
     def _paused(self, row_s: float) -> Progress:
-        """Another mode than the mission's for `row_s` [s]: the clock of the leg stands still and tells nothing."""
+        """Return the progress after `row_s` [s] in another mode: the leg's clock stands still, its time is not used."""
         if not self.is_on_path:
             return self
         return self._replace(
@@ -138,21 +140,21 @@ class Progress(NamedTuple):
         )
 
     def _arrived(self, time_s: float, here: Point) -> Progress:
-        """Since when the aircraft waits at the end of its leg."""
+        """Note since when the aircraft waits at the end of its leg."""
         is_at_end = is_there(self.leg, here)
         if is_at_end and not math.isfinite(self.arrived_s):
             return self._replace(arrived_s=time_s)
         return self if is_at_end else self._replace(arrived_s=NAN)
 
     def _is_over(self, following: Leg, here: Point, time_s: float, navigation: Navigation) -> bool:
-        """True if the leg that is flown is over and the one that follows it in its item has begun."""
+        """Return True if the leg that is flown is over, and the next leg of its item has begun."""
         leg = self.leg
         if leg.circle_m > 0.0:
             return time_s - self.behind_s >= self.lessons.expected_s(leg)
         return is_behind(leg, following, here, navigation.position, time_s - self.arrived_s)
 
     def _by_clock(self, time_s: float) -> Leg:
-        """The leg of its item that should be flown now, for where nobody says the place."""
+        """Return the leg of the item that should be flown now by the clock, if the position is not known."""
         legs, left_s = self.path.legs[self.item], time_s - self.leg_since_s
         for leg in legs[:-1]:
             left_s -= self.lessons.expected_s(leg)
@@ -191,7 +193,7 @@ class Progress(NamedTuple):
 
 
 def _leg_of(way: Path, current: int | None, at: int) -> int | None:
-    """The leg on which the autopilot flies to item `current`: the next such one, else any."""
+    """Return the leg on which the autopilot flies to item `current`: the next such leg, else the first."""
     if current is None:
         return None
     if 0 <= at < len(way.legs) and way.legs[at].seq == current:
@@ -201,7 +203,7 @@ def _leg_of(way: Path, current: int | None, at: int) -> int | None:
 
 
 def _begins_as_planned(leg: Leg, here: Point | None) -> bool:
-    """True unless the place says that the leg is flown from elsewhere: its time would be held against another way."""
+    """Return False if the leg begins elsewhere than planned, so that its time says nothing about planned legs."""
     if here is None:
         return True
     from_here_s = leg._replace(begin=here, run_m=math.dist(here[:2], leg.end[:2])).moving_s
@@ -242,7 +244,7 @@ def _since_s(before: Position | None, now: Position | None) -> float:
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """True if the aircraft keeps its velocity, or nobody says it: in a corner the power is that of the turn."""
+    """Return True if the velocity is kept or not known; in a corner the power is that of the turn."""
     if before is None or now is None:
         return now is None
     change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))

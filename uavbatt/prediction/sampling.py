@@ -1,4 +1,4 @@
-"""Draws of what is uncertain: the same fixed normals at every forecast, which moves only when the belief does.
+"""Draws of all uncertain quantities from the same fixed normals, so that a forecast moves only when the belief does.
 
 The end of a flight can be bimodal (a surge grazes the cut-off or does not), which a mean and a variance cannot say:
 so each draw flies to its own end and the quantiles are those of the ends. The normals come in antithetic pairs and
@@ -37,8 +37,8 @@ def normals() -> Array:
 def wander(steps: int, by_rows: bool = False) -> Normals:
     """Return standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
 
-    Beyond LONGEST steps they come again from the first on. A forecast with fewer holds fewer in memory: in flight 256
-    do for an hour.
+    Beyond LONGEST steps they repeat. A forecast with fewer steps keeps fewer in memory: 256 are enough for an hour of
+    flight.
     """
     return Normals(_held_normals(0, steps), _held_normals(1, steps) if by_rows else np.empty((0, DRAWS)))
 
@@ -49,7 +49,7 @@ def wander_home(steps: int) -> Array:
 
 
 def _held_normals(process: int, steps: int, backwards: bool = False) -> Array:
-    """The first normals of a process (0 the model's error, 1 the rows' noise), or its last from the end."""
+    """Return the first normals of a process (0 the model's error, 1 the rows' noise); backwards: its last ones."""
     drawn = _normals(process, held_steps(steps), backwards)
     return drawn[:steps] if steps <= LONGEST else np.resize(drawn, (steps, DRAWS))
 
@@ -74,7 +74,7 @@ def shuffled(count: int) -> Array:
 
 @cache
 def within_step() -> Array:
-    """Return places -0.5..0.5 [DRAWS] that spread draws over a step: no simulation tells when in it a load comes."""
+    """Return places -0.5..0.5 [DRAWS] that spread draws over a step, which does not tell when a load begins in it."""
     return shuffled(DRAWS) - 0.5
 
 
@@ -94,7 +94,7 @@ def samples(belief: Belief) -> Array:
 
 
 def _shared_out(weights: Array) -> Array:
-    """Index of the member of each draw [DRAWS]: always the same ranks, so that few draws change when weights do."""
+    """Return the member of each draw [DRAWS], by fixed ranks, so that few draws change when the weights change."""
     found = np.searchsorted(np.cumsum(weights / weights.sum()), shuffled(weights.size) - 1e-12)
     return np.asarray(np.minimum(found, weights.size - 1))
 

@@ -14,9 +14,9 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.prediction.sampling import LONGEST, held_steps
 
-# A manoeuvre is a climb or wind on the nose: these end a flight early, near empty the cut-off lies a climb away.
+# Manoeuvres (climbs, head wind) end a flight early: near empty one climb takes the voltage to the cut-off.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
-LARGEST_GUSTS = 0.6  # of a normal law around the mean
+LARGEST_GUSTS = 0.6  # larger swings would not be normal around the mean
 STEPS_IN_BLOCK = 32
 
 
@@ -37,13 +37,13 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
     exponent = np.zeros((dt_s.size, count))
     for process, (sd, memory_s) in enumerate(((swings.manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))):
         if sd > 0.0:
-            variance = math.log1p(sd**2)  # of the logarithm of a factor that has mean 1 and this sd
+            variance = math.log1p(sd**2)  # of the logarithm of a factor with mean 1 and this sd
             exponent += math.sqrt(variance) * _wandering(dt_s, count, memory_s, process) - 0.5 * variance
     return np.asarray(np.exp(exponent))
 
 
 def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
-    """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
+    """Return a process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
     normals, memory = _normals(held_steps(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
@@ -51,14 +51,14 @@ def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
 
 @cache
 def _normals(steps: int, scenarios: int, process: int) -> Array:
-    """Normals with mean 0 and variance 1 over the scenarios of every step, exactly: few of them must stand for all."""
+    """Return normals with mean 0 and variance 1, exactly, over the scenarios of every step, as they are few."""
     raw = np.random.default_rng([scenarios, process]).standard_normal((steps, scenarios))
     centred = raw - raw.mean(axis=1, keepdims=True)
     return np.asarray(centred / centred.std(axis=1, keepdims=True))
 
 
 def _remembering(memory: Array, fresh: Array) -> Array:
-    """x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; with equal steps a block of them in one product."""
+    """Return x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; equal steps are worked out in blocks."""
     out = fresh.copy()
     if np.any(memory != memory[0]):
         for k in range(1, out.shape[0]):

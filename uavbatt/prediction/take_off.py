@@ -1,12 +1,12 @@
-"""A flight that has not begun, or hardly: its load is that of past flights, else of a middling multirotor.
+"""The load of a flight that has not begun, or has just begun: that of past flights, else of a typical multirotor.
 
-The first seconds of load tell little: motors spool up, and the sag of a pack of which nobody knows the resistance says
-as little of its capacity. So the ends that were expected at take-off count among those of a forecast, less and less:
+The first seconds of load tell little: motors spool up, and the sag of a pack of unknown resistance says little about
+its capacity. So the ends that were expected at take-off count among those of a forecast, less and less:
 
     end = share x (end as of take-off) + (1 - share) x (end as of now), rank by rank,    share = (1 - t/FORGOTTEN_S)²
 
-The end as of take-off is that of the same charge at the power which is flown, as soon as it has shown itself. It never
-lengthens the lower end: that stays the one of the flight itself where this is lower.
+The end as of take-off is that of the same charge at the power that is flown, once this is known. It never makes the
+lower end later than that of the flight itself.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from uavbatt.prediction.time_to_end import EndTimes
 
 SETTLED_S = 60.0
 FORGOTTEN_S = 240.0
-NEAR_S = 120.0  # a pack that is this near its end shows it
+NEAR_S = 120.0  # so near its end, a pack shows it
 LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
 SHOWN_TAU_S, MOST_CHANGE = 20.0, 4.0
 MOST_ENDS = 1024
-TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
+TYPICAL_SPREAD = 0.4  # as ln: nine of ten multirotors are within a factor of two
 
 
 @dataclass(frozen=True, slots=True)
 class FromTakeOff:
-    """Past flights are flown again from their take-off, each as it was, at levels around it."""
+    """FromTakeOff flies past flights again from their take-off, each as it was, at levels around it."""
 
     library: LearnedLoad
 
@@ -54,7 +54,7 @@ class FromTakeOff:
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every past flight from its first second, whatever the charge: the pack may start part-used.
 
-        However many there are, nobody has seen the payload and the wind of this one.
+        Their levels vary too, because the payload and the wind of this flight are not known.
         """
         flown_W = self.library.power_W
         grid_s = GRID_S * np.arange(flown_W.shape[1])
@@ -88,7 +88,7 @@ class AtTakeOff(NamedTuple):
     """
 
     take_off_s: float
-    power_W: float  # that was expected
+    power_W: float  # the expected power
     end_s: tuple[float, ...]  # sorted
     low_s: tuple[float, ...]  # sorted
 
@@ -125,15 +125,15 @@ class AtTakeOff(NamedTuple):
 
 
 def _is_forecast(ends_s: tuple[float, ...]) -> bool:
-    """True if these can be the sorted ends of draws [s]."""
+    """Return True if these can be the sorted ends of draws [s]."""
     return 0 < len(ends_s) <= MOST_ENDS and ends_s[0] >= 0.0 and all(a <= b for a, b in pairwise(ends_s))
 
 
 def _joined(fresh_s: Array, expected_s: Array, share: float) -> Array:
-    """Both joined rank by rank. What would have shown itself by now is not expected any more.
+    """Return both joined rank by rank; an expected end that should have shown itself by now is left out.
 
-    The lower ranks, by which alarms go, are never later than those of the flight itself; nor is the middle where the
-    flight looks short: a weak pack must not be talked well.
+    The lower ranks, which alarms use, are never later than those of the flight itself. If the flight looks short, the
+    middle is not later either, so that a weak pack is not made to look good.
     """
     expected_s = expected_s[expected_s > NEAR_S]
     if not expected_s.size:

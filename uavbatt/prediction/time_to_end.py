@@ -4,10 +4,10 @@ Constant power within a step, not constant current: a sinking voltage draws more
 pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
 
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
-half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; where telemetry rows are slower than
-that, the steps are the rows, and the centred median of three of them, with their noise, judges. A charge below the
-reserve ends a flight as well. The discrepancy walks on from where it is: nothing says that the voltage which a pack
-misses now will come back before the end, so it does not decay to zero as it does in the filter.
+half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; if telemetry rows are slower than
+that, the steps are the rows, and the centred median of three of them, with their noise, decides. A charge below the
+reserve ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
+value: nothing shows that a voltage which a pack lacks now will come back before the end.
 
 `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
 """
@@ -31,11 +31,11 @@ from uavbatt.prediction.curves import curve_tables, looked_up
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
-# Numbers that meet arrays at every step: as arrays of no dimension they cost numpy a third less than as floats.
+# Constants that are combined with arrays at every step: numpy works a third faster with 0-d arrays than with floats.
 MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
-# Of a forecast's draws: the 95 % point lies between ends that are among these. The last few would cost a fifth of all
-# steps, and count as ending with the last of these.
+# Share of the draws that is simulated to the end; the 95 % point lies among their ends. The last few would cost a fifth
+# of all steps, and count as ending with the last of these.
 COUNTED = 0.96
 
 
@@ -124,8 +124,7 @@ def counted(ends: EndTimes, enough: float = COUNTED) -> EndTimes:
 
 
 class _Recent(NamedTuple):
-    """The last steps of the packs, [steps, batch] each: mean voltage of a cell with its share of the
-    harness and of the model's error, charge, what a row's voltage adds to it."""
+    """_Recent holds the last steps of the packs, [steps, batch]: mean cell voltage, charge, noise of a row."""
 
     cell_V: Array
     soc: Array
@@ -133,7 +132,7 @@ class _Recent(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The limits by which steps are judged; `at_s` are the times of all steps."""
+    """_Limits holds the limits by which steps are judged; `at_s` are the times of all steps."""
 
     pack: Pack
     reserve_soc: float
@@ -150,7 +149,7 @@ def _times(dt_s: Array, dimensions: int) -> Array:
 
 
 def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTimes:
-    """The ends that are known after step `k`; the last steps are kept for those that follow."""
+    """Return the ends that are known after step `k`; the last steps are kept for the next ones."""
     pack, installation = limits.pack, limits.pack.installation
     new = k % JUDGED_AT_ONCE + 1
     known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
@@ -170,7 +169,7 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
 
 
 def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Array:
-    """The times `known_s` [batch], with those of the columns whose `margin` [steps, batch] has come below zero now."""
+    """Return the times `known_s` [batch], with those of columns whose `margin` [steps, batch] is below zero now."""
     is_new = ((margin < 0.0) & (known_s == np.inf)).any(axis=0)
     if not is_new.any():
         return known_s
@@ -181,9 +180,9 @@ def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Ar
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall of each column [steps, columns] through zero, linear between the steps at `at_s`; plus the lag.
+    """Return the first fall of each column [steps, columns] through zero, linear between steps at `at_s`, plus the lag.
 
-    There is a step below zero in each.
+    Each column must have a step below zero.
     """
     first, column = np.argmax(margin < 0.0, axis=0), np.arange(margin.shape[1])
     last = np.maximum(first - 1, 0)
@@ -195,7 +194,7 @@ def _mean_crossing(margin: Array, at_s: Array) -> Array:
 
 
 def _median_crossing(margin: Array, at_s: Array) -> Array:
-    """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
+    """Return the time of the first row whose centred median of three is below zero; no row precedes the present."""
     below, column = margin < 0.0, np.arange(margin.shape[1])
     if margin.shape[0] < 3:
         return np.where(below.all(axis=0), 0.0, np.inf)

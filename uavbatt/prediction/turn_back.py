@@ -1,9 +1,9 @@
 """The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
 
-Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
-voltage's least height above the cut-off on that way home is noted, in each step under the highest power of gusts; a
-charge near the reserve counts as such a height, for it ends a flight as well. A draw's turn-back is the last t at which
-it has not met its end before and that height is not negative.
+Each draw (battery, power level, wind) flies on, turns at some instants t, and flies home as its autopilot does. On the
+way home the smallest distance of the voltage above the cut-off is noted, in each step under the highest power of gusts.
+The distance of the charge from a reserve counts in the same way, because a reserve ends a flight too. A draw's turn-
+back is the last t before its end at which that distance is not negative.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
-TURNS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
-CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
+TURNS, CROWDED = 16, 1.5  # number of instants; early ones are closer together
+CLIMB_STEPS = 3  # least steps of a climb, because the sag is deepest at its end
 FASTEST_CLIMB_MS = 0.3
-TURN_STEPS = 2  # as it speeds up, too: in the middle of it
-ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
+TURN_STEPS = 2  # least steps of a turn in which the aircraft speeds up
+ROUGH = 1.0  # sds that the highest mean over 5 s, which is judged, lies above the mean
 
 
 class Turning(NamedTuple):
@@ -100,7 +100,7 @@ def _fly_home(
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
     least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
-    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over yet: each has a length of its own
+    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
         if not is_asked.all():
@@ -124,9 +124,10 @@ def _fly_home(
 
 
 def _is_asked(least_V: Array) -> Column:
-    """True for each turn [turns] whose way home still counts: charge is asked of the first, a crossing of the others.
+    """Return True for each turn [turns] that is simulated on: the first for its charge, others while a draw comes home.
 
-    No draw comes home from the others, nor from the turn before: no crossing lies there (`last_crossing`).
+    From the other turns, and from the turn before each of them, no draw comes home, so that no crossing lies there
+    (`last_crossing`).
     """
     comes_home = np.asarray((least_V >= 0.0).any(axis=1))
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
@@ -141,11 +142,11 @@ def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float)
 
 
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:
-    """The way home from where each instant finds the aircraft."""
+    """Return the ways home from where the aircraft is at each instant."""
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
     turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
-    if not pieces.length_s.size:  # down at home already: nothing is left to fly
+    if not pieces.length_s.size:  # already down at home
         pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
@@ -154,12 +155,12 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, 
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
-    length_s, power_W, fast, rough = told[:, index]  # a way that is over goes on as it ended, in no time
+    length_s, power_W, fast, rough = told[:, index]  # a way that is over repeats its last step with a length of 0
     return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough)
 
 
 def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
-    """The pieces, and the turn of each, in steps short enough for their sag."""
+    """Return the pieces and the turn of each, cut into steps short enough to show the sag of the voltage."""
     least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, np.where(pieces.gained_ms > 0.0, TURN_STEPS, 1))
     count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
     pieces = pieces._replace(length_s=pieces.length_s / count)

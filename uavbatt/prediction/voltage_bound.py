@@ -31,20 +31,20 @@ FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that 
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
 BLIND_REACH_V = 0.23  # without a current: a climb sags a cell by a tenth of a volt, and looks like the end
-SIGHT_S = 190.0  # beyond this a fall says little
+SIGHT_S = 190.0  # a fall says little about an end further ahead
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
-# The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
+# Upper limits of the 5 % point, the alarm's point, the median and the 95 % point, over the time by the voltage.
 ALARM_SHARE = 0.63
 SHARES = (0.5, ALARM_SHARE, 1.25, 2.5)
-SURE_LOOKS = 5  # a second apart
+SURE_LOOKS = 5  # looks, one a second
 CONTRADICTED_S = 120.0
 FALLS_FASTER = Notice(
     "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low",
     Kind.FALLS_FASTER,
 )
 AT_CUTOFF = "the pack is at its cut-off"
-NO_END = Notice("no end in sight: the charge believed and the load do not fit", Kind.NO_END)
+NO_END = Notice("no end found: the estimated charge and the load do not fit", Kind.NO_END)
 
 
 class FallBin(NamedTuple):
@@ -91,7 +91,7 @@ class Fall(NamedTuple):
     def time_left_s(self, cells: float, cutoff_V: float) -> float:
         """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it."""
         if not self.bins or self.bins[-1].voltage_V - cutoff_V > self.bins[-1].reach_V * cells:
-            return math.inf  # as in most of a flight
+            return math.inf  # true in most of a flight
         bins = self._of_one_kind()
         judged = bins[-JUDGED_BINS:]
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
@@ -108,9 +108,9 @@ class Fall(NamedTuple):
         return left_s
 
     def _of_one_kind(self) -> tuple[FallBin, ...]:
-        """The bins with a current; while it is unknown all of them, none with a current or the lag that it left.
+        """Return the bins with a current, if the last one has it; else all bins, without current and lag.
 
-        A current of nothing in every bin leaves the fit no sag.
+        With a current of 0 in every bin the fit has no sag.
         """
         if self.bins[-1].is_metered:
             return tuple(row for row in self.bins if row.is_metered)
@@ -118,7 +118,7 @@ class Fall(NamedTuple):
 
 
 def _is_level(bins: tuple[FallBin, ...], cutoff_V: float) -> bool:
-    """True if the voltage fell too little over the window to reach the cut-off in sight."""
+    """Return True if the voltage fell too little over the window to reach the cut-off in sight."""
     part = len(bins) // 4
     first_V = sum(row.voltage_V for row in bins[:part]) / part
     last_V = sum(row.voltage_V for row in bins[-part:]) / part
@@ -137,7 +137,7 @@ def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
     curve = np.stack([np.ones_like(t), t, t * t], axis=1)
     sagging = np.column_stack([curve, np.mean(amps) - amps])
     found, design = np.linalg.lstsq(sagging, volts + lag_V, rcond=None)[0], sagging
-    if found[3] < 0.0:  # no sag has this sign
+    if found[3] < 0.0:  # a sag has the other sign
         found, design = np.linalg.lstsq(curve, volts + lag_V, rcond=None)[0], curve
     scatter_V2 = float(np.sum((volts + lag_V - design @ found) ** 2)) / (len(t) - found.size)
     slope_sd = math.sqrt(scatter_V2 * float(np.linalg.pinv(design.T @ design)[1, 1]))

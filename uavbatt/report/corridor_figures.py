@@ -1,4 +1,4 @@
-"""Curves, corridors and the model: the study's Figures 1, 4, 5, 6 and 7, and corridors as departures from the mean."""
+"""Curves, corridors and the model: the study's Figures 1, 4, 5, 6 and 7, and corridors as deviations from the mean."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ JUMPS = "A jump between near neighbours is a break between series of tests, not 
 MINUTES = "time from the start of the discharge (min)"
 SAMPLES = ((plot.BLUE, "-"), (plot.GREEN, "--"), (plot.AMBER, "-."), (plot.PINK, ":"))
 AXIS = {"voltage_V": "pack voltage (V)", "surface_C": "surface temperature (°C)"}
-DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departure from the mean (K)"}
+DEPARTURE = {"voltage_V": "deviation from the mean (mV)", "surface_C": "deviation from the mean (K)"}
 
 
 def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
@@ -79,7 +79,7 @@ def family(page: ValidationPage) -> Html:
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS["voltage_V"]),
         f"Discharge curves at {celsius(page.found.ambient_C)}{_study(page, 1)}",
-        "Every test as it was read, straight lines between the readings.",
+        "Every test, with straight lines between the readings.",
     )
 
 
@@ -118,12 +118,12 @@ def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: 
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
         f"Corridor of the {name} at {celsius(page.found.ambient_C)}{_study(page, study)}",
-        "The corridor is thin beside the fall of the curve: the next drawing shows the departures alone.",
+        "The corridor is narrow compared with the fall of the curve: the next drawing shows the deviations alone.",
     )
 
 
 def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Html:
-    """Draw corridor, wider bands, runs and model as departures from the mean of the tests."""
+    """Draw corridor, wider bands, runs and model as deviations from the mean of the tests."""
     minutes, scale = found.at / 60.0, 1000.0 if found.quantity == "voltage_V" else 1.0
 
     def draw(axes: Axes) -> None:
@@ -142,11 +142,11 @@ def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Ht
 
     held = f" Of genuine curves {found.covers_all:.0%} stay inside mean ± C at every instant."
     cut = " Curves that leave the drawing lie further out."
-    alt = "Departures of runs and model from the mean of the tests, with three bands."
+    alt = "Deviations of runs and model from the mean of the tests, with three bands."
     said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
     drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
     return figure(
-        drawn, f"{sentence(NAMES[found.quantity])}: departures from the mean at {celsius(page.found.ambient_C)}", said
+        drawn, f"{sentence(NAMES[found.quantity])}: deviations from the mean at {celsius(page.found.ambient_C)}", said
     )
 
 
@@ -196,7 +196,7 @@ def in_time(page: ValidationPage) -> Html:
     drawn = plot.panel(
         draw, alt, x="pack voltage that is reached (V)", y="earlier (−) or later (+) (s)", legend_columns=3
     )
-    return figure(drawn, title, "The same tests read along the clock: seconds against the mean time of each voltage.")
+    return figure(drawn, title, "The same tests in time: seconds before or after the mean time of each voltage.")
 
 
 def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:

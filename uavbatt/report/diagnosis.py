@@ -90,12 +90,12 @@ def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new
 def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
     notes = []
     if not found.problem.evidence.has_temperature:
-        notes.append("No temperature was measured: effects that show in it only are not among the candidates.")
+        notes.append("No temperature was measured: effects that show only in it are not among the candidates.")
     if old.status == "edited":
         notes.append(f"The {old.caveat}.")
     if found.hidden:
         bounds = (f"{h.name} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden)
-        notes.append(f"No more than this could hide in these records (95 %): {'; '.join(bounds)}.")
+        notes.append(f"Sizes that could be hidden in these records (95 %): {'; '.join(bounds)}.")
     return notes
 
 
@@ -183,7 +183,7 @@ def _residuals(found: Diagnosis) -> list[Html]:
     def warmth(one: Residual) -> Array:
         return one.temp_K
 
-    # The same scale before and after.
+    # Both panels have the same scale.
     limits_mV = max(_reach(before, volts, 1000.0), 2.5 * 1000.0 * found.floor_V)
     out = [
         _panel("Voltage before", before, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),

@@ -52,7 +52,7 @@ def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str
         "uavbatt fleet",
         _answer(found, ranked, battery),
         *(flown if found.flights or not found.failed else []),
-        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
+        *([section("Logs that could not be replayed", _failed(found))] if found.failed else []),
         section("The run", facts([("battery file", battery), *remarks])),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
@@ -83,10 +83,10 @@ def _is_grown(found: Change | None) -> bool:
 def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
     failed = sum(found.failures.values())
     if failed and not found.flights:
-        nothing = f"None of {counted(failed, 'log')} could be flown: this fleet is not known. The reasons are below."
+        nothing = f"None of {counted(failed, 'log')} could be replayed: this fleet is not known. The reasons are below."
         return element("div", paragraph(nothing), css="answer bad")
     hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
-    lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
+    lost = f"; {counted(failed, 'log')} could not be replayed" if failed else ""
     first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
     said = [paragraph(first), paragraph(_health_words(ranked))]
     errors, inside = np.array(found.errors["120"]), found.inside["120"]
@@ -110,11 +110,11 @@ def _health_words(ranked: Sequence[Ranked]) -> str:
     judged = [(group.name, verdict(group, resistance, capacity)) for group, resistance, capacity in ranked]
     grown = [name for name, found in judged if found.kind == "grown"]
     steady, untold = (sum(found.kind == kind for _, found in judged) for kind in ("steady", "cannot tell"))
-    rest = f"{steady} steady, of {untold} it cannot be told (see the table)."
+    rest = f"{steady} steady, {untold} not known (see the table)."
     if grown:
         return f"Resistance has grown in: {', '.join(grown[:5])}{', …' if len(grown) > 5 else ''}; {rest}"
     if not steady:
-        return "Ageing cannot be told of any of them (see the table)." if ranked else "Nothing was flown."
+        return "For none of them is it known whether it has aged (see the table)." if ranked else "No log was replayed."
     return f"No ageing found: {rest}"
 
 

@@ -16,11 +16,11 @@ from uavbatt.small_chart import small_chart, span
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_POINTS = 400  # of one figure: more are thinned evenly
+MOST_POINTS = 400  # points of one figure; more are thinned evenly
 FEWEST_OF_A_LINE = 3  # flights
-LEAST_SHOWN = 0.4  # of a scale, so that scatter of a few percent does not fill the height
+LEAST_SHOWN = 0.4  # least height of a scale, so that scatter of a few percent looks small
 DAY_S = 86_400.0
-_SPREAD = 0.28  # of the dots of one checkpoint, sideways
+_SPREAD = 0.28  # sideways spread of the dots of one checkpoint
 
 
 def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:

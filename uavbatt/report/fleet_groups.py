@@ -23,7 +23,7 @@ from uavbatt.fleet.row import FlightRow
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
 STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
-LISTED_SHARE = 0.2  # of the flights at most stand on the list of those to look at
+LISTED_SHARE = 0.2  # largest share of flights on the list of those to look at
 MOST_LISTED = 100
 _FIGURE = re.compile(r"\d+(\.\d+)?")
 

@@ -19,7 +19,7 @@ SHORT_S = 240.0
 
 
 class TimeAxis:
-    """All panels share this time axis: minutes, or seconds for a short log; hatching where a number was refused."""
+    """TimeAxis is shared by all panels: minutes, or seconds for a short log; hatched where a number was refused."""
 
     def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], end_s: float) -> None:
         known = rows.time_s[np.isfinite(rows.time_s)]

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TITLE, Y_LABEL = "Time left", "time left (min)"
-LEAST_APART = 0.06  # of the axis: closer events share one mark, so that their words do not overlap
+LEAST_APART = 0.06  # of the axis; closer events share a mark, so that words do not overlap
 MOST_HELD, UNBOUNDED_S = 2.5, 1e8
-SETTLED_PERCENT = 80.0  # of the forecasts lie below: the first ones of a flight may be far above all others
-ROOM_RIGHT = 38.0  # for the minutes on the right
+SETTLED_PERCENT = 80.0  # percentile of the forecasts: the first ones may be far above the others
+ROOM_RIGHT = 38.0  # room for the minutes on the right
 
 
 def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> Html:

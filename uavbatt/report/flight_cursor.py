@@ -32,7 +32,7 @@ def cursor_script(rows: FlightSeries) -> Html:
 
 
 def _chosen_rows(rows: FlightSeries) -> dict[str, list[float | None]]:
-    """At most MOST_ROWS rows that were flown, evenly chosen; None is not known."""
+    """Return at most MOST_ROWS of the known rows, evenly chosen; None is not known."""
     known = np.flatnonzero(np.isfinite(rows.voltage_V) | np.isfinite(rows.remaining_s))
     chosen = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_ROWS)).astype(int))]
     columns: dict[str, tuple[Array, int]] = {

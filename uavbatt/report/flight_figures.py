@@ -54,7 +54,7 @@ def _voltage(rows: FlightSeries, axis: TimeAxis, resolved: PackSize) -> Html:
 
 
 def _span(values: Array, *more: float) -> tuple[float, float]:
-    """Limits that hold the middle 99.8 % of `values` and every finite one of `more`, with some air."""
+    """Return limits that hold the middle 99.8 % of `values` and every finite one of `more`, with a margin."""
     known = values[np.isfinite(values)]
     ends = [*np.percentile(known, [0.1, 99.9]), *(m for m in more if math.isfinite(m))]
     low, high = float(min(ends)), float(max(ends))

@@ -15,7 +15,7 @@ from uavbatt.report.page import duration, number, sentence
 
 SD_90 = 1.64
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
-VOLTAGE_SHARE = 0.4  # of the time that the charge alone would give, from which on the voltage is worth a sentence
+VOLTAGE_SHARE = 0.4  # of the time by the charge alone: below it the voltage is explained
 OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that stand on the page in other words
 
 

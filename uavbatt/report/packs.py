@@ -101,7 +101,7 @@ def _of_one(pack: PackRow, flights: Sequence[LedgerFlight]) -> Html:
         return Html("")
     seen = pack.outlook
     words = f"{retire_words(seen)}; charge: {trend_words(seen.capacity_trend, seen.capacity_trend_sd)}; "
-    words += f"ohms: {trend_words(seen.resistance_trend, seen.resistance_trend_sd)}."
+    words += f"resistance: {trend_words(seen.resistance_trend, seen.resistance_trend_sd)}."
     found = [
         f"flight {k} ({after.flight.source}): {finding.words}"
         for k, after in enumerate(flights, 1)

@@ -238,5 +238,5 @@ def sentence(text: str) -> str:
 def write_page(path: str | Path, html: str) -> None:
     """Write a page to `path` (`-`: standard output), whole or not at all. Raises BadInput when it cannot be written."""
     with atomic_write(path) as file:
-        encoding = file.encoding or "utf-8"  # of standard output it may be ASCII
+        encoding = file.encoding or "utf-8"  # standard output may be ASCII
         file.write(html.encode(encoding, "xmlcharrefreplace").decode(encoding))

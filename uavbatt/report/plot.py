@@ -40,7 +40,7 @@ WIDE, WIDE_HEIGHT = 1100.0, 400.0
 TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
 LETTERS = 15.5
-LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # of a letter of a legend, of the sign before it
+LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # widths of a letter in a legend, and of the sign before it
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",
     "savefig.facecolor": "none", "font.size": LETTERS, "axes.labelsize": LETTERS, "legend.fontsize": LETTERS,
@@ -190,7 +190,7 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def _inline(text: str, alt: str) -> Html:
-    """matplotlib's SVG file -> markup for the middle of a page."""
+    """Return matplotlib's SVG file as markup for the middle of a page."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<!DOCTYPE[^>]*>", "", text, flags=re.DOTALL)
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)

@@ -139,7 +139,7 @@ def rows(steps: Sequence[ReplayedRow]) -> FlightSeries:
 def innovation_sd(innovation_V: Array, nis: Array, temp_C: Array, reach: int = 15) -> Array:
     """Recover the expected SD of the innovation [V] from the NIS: |ν|/√NIS for one measurement.
 
-    With a temperature measured too that is at most the SD; then the greatest within `reach` rows stands.
+    If a temperature was measured too, this is a lower bound of the SD: the greatest value within `reach` rows is used.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         least = np.where(nis > 0.0, np.abs(innovation_V) / np.sqrt(nis), math.nan)

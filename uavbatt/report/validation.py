@@ -50,7 +50,7 @@ def validation_report(
     sections = [
         ("Claims", [claims_table(_at_home(v))]),
         ("Bias against the limits", _equivalence(v)),
-        ("What the tests say about themselves", findings_list(v.found.findings)),
+        ("Findings about the tests", findings_list(v.found.findings)),
         ("Curves and corridors", _corridors(v)),
         ("Over ambient temperature", _ambient(v)),
         *([("Before and after", _changes(v))] if v.changes or _conclusions(v) else []),
@@ -98,8 +98,8 @@ def verdict_sentence(v: ValidationPage) -> str:
         packs = any("reproducib" in c.claim and c.verdict != "pass" for c in v.found.claims)
         unproven = "At other temperatures" + (" and for other packs of the make" if packs else "")
         return (
-            f"Tests held back from the fit agree with this model {where} to within {within}, the scatter of the tests "
-            f"and the doubt about the instruments counted in. {unproven} it is not proven."
+            f"Tests held back from the fit agree with this model {where} to within {within}, including the scatter of "
+            f"the tests and the uncertainty of the instruments. {unproven} it is not proven."
         )
     if v.found.verdict == "fail":
         return f"Do not fly on this model: {where} it is not right to within {within}{why}."
@@ -107,7 +107,7 @@ def verdict_sentence(v: ValidationPage) -> str:
 
 
 def _limits(v: ValidationPage) -> tuple[tuple[str, str], ...]:
-    """The declared limits in words; the first two decide."""
+    """Return the declared limits in words; the first two decide."""
     limits = v.found.limits
     return (
         ("voltage", f"±{limits.voltage_V:.3g} V"),
@@ -146,7 +146,7 @@ def _corridors(v: ValidationPage) -> list[Html]:
         folded += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
     named = (("voltage", volts), ("surface temperature", heat))
     notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
-    named_more = "Departures from the mean, and the tests in time" + (
+    named_more = "Deviations from the mean, and the tests in time" + (
         "; the surface temperature" if heat is not None else ""
     )
     more = details(named_more, grid(*folded))

@@ -53,7 +53,7 @@ def _over_instants(claim: Claim) -> Html:
         axes.set_ylim(-reach, reach)
 
     alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
-    drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
+    drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model − tests ({unit})")
     return figure(
         drawn,
         f"{sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
@@ -80,7 +80,7 @@ def over_ambient(claims: Sequence[Claim]) -> Html:
 
     alt = f"Largest bias of the voltage at {len(shown)} ambient temperatures against the limit of ±{limit:g} mV."
     drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y="model less tests (mV)", legend_columns=4)
-    said = "At the instant that uses the most of the limit. No bar: a single run, nothing tells its dispersion."
+    said = "At the instant that uses the most of the limit. No bar: a single run, its dispersion is not known."
     return figure(drawn, "Voltage bias over ambient temperature", said)
 
 
@@ -120,7 +120,7 @@ def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:
     h = np.array([c.h for c in mine]).T
     k = np.array([c.k for c in mine]).T
     few = len(mine[0].samples) < 3
-    h_said = "With two samples |h| is 0.707 whatever the data: it says nothing." if few else ""
+    h_said = "With two samples |h| is 0.707 for any data: it has no meaning." if few else ""
     k_said = "Above the 5 % line a sample is a straggler, above the 1 % line an outlier in scatter."
     return [
         _stems(h, mine, quantity, "h", _limits([c.h_critical for c in mine], both=True), h_said),

@@ -36,7 +36,7 @@ KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d
 FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
-FOLDED_NOTES = 4  # so many and more
+FOLDED_NOTES = 4  # so many notes, or more, are folded
 SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
@@ -75,13 +75,13 @@ def plain_reason(claim: Claim) -> str:
 
 
 def _known(found: re.Match[str]) -> str:
-    return f"uncertain by {found['is']} of itself (at most {found['most']} was declared)"
+    return f"uncertain by {found['is']} (at most {found['most']} was declared)"
 
 
 def _within(claim: Claim, found: re.Match[str]) -> str:
     limit, count = found["limit"], int(found["count"])
     where = f" at all {count} checked instants" if count > 1 else ""
-    return f"the error is within ±{limit} {claim.unit}{where}, its uncertainty counted in"
+    return f"the error is within ±{limit} {claim.unit}{where}, including its uncertainty"
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
+    why = FIGURE.sub("", plain_reason(c))  # without its figure, which may be of another instant than the row
     return *told, why, gates, number(bias, decimals, unit, sign=True), interval, limit
 
 
@@ -122,7 +122,7 @@ def _span(ambients_C: Sequence[float]) -> str:
 def findings_list(findings: Sequence[Finding]) -> list[Html]:
     """List the findings in their order, each with its evidence; many notes are folded behind the others."""
     if not findings:
-        return [paragraph("Nothing in the tests speaks against them.")]
+        return [paragraph("No fault was found in the tests.")]
     notes = [f for f in findings if f.severity == "note"]
     if len(notes) < FOLDED_NOTES:
         return [_findings(findings)]
@@ -225,14 +225,14 @@ def budget_table(claim: Claim, budget: Budget) -> Html:
     last = len(at) + 1
     used = (np.abs(claim.bias) + claim.half_width) / claim.limit
     body += [
-        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows as if they stood alone"),
-        ("combined", *(number(u * scale, d) for u in budget.combined), "all rows, in squares"),
+        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows alone"),
+        ("combined", *(number(u * scale, d) for u in budget.combined), "root of the sum of squares of all rows"),
         (
             "half width",
             *(number(h * scale, d) for h in budget.expanded),
             f"one-sided 95 % over all instants, t up to {budget.coverage:.2f}",
         ),
-        ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model less tests"),
+        ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model − tests"),
         ("part of the limit used", *(_percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
     ]
     caption = f"{claim.claim}, {celsius(claim.ambient_C)}; standard uncertainties in {unit}"

@@ -37,14 +37,14 @@ def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: Array
 
 
 def _integral_of_cdf_squared(z: FloatArray) -> FloatArray:
-    """Integral of Phi^2 from -inf to z."""
+    """Return the integral of Phi^2 from -inf to z."""
     phi = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
     cdf = ndtr(z)
     return np.asarray(z * cdf**2 + 2.0 * cdf * phi - ndtr(z * math.sqrt(2.0)) / math.sqrt(math.pi))
 
 
 def _half_widths(lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """The two standard deviations; a nanosecond at least, so that a point needs no case of its own."""
+    """Return the two standard deviations, at least a nanosecond each, so that a point needs no case of its own."""
     middle = np.asarray(median, float)
     s_lo = np.maximum((middle - np.asarray(lo, float)) / Z90, 1e-9)
     s_hi = np.maximum((np.asarray(hi, float) - middle) / Z90, 1e-9)

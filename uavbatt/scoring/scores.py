@@ -154,7 +154,7 @@ def score_flight(
     if np.any(np.diff(table[0]) < 0.0):
         raise ValueError(f"{name}: expected forecast lines in the order of time")
     if not math.isfinite(end_s) or table.shape[1] == 0:
-        raise ValueError(f"{name}: expected a finite end and forecast lines before it, got end_s = {end_s}")
+        raise ValueError(f"{name}: expected a finite end and forecast lines before it, found end_s = {end_s}")
     lines = ForecastLines(table[0], table[1:4], interval)
     begin_s = float(table[0, 0]) if start_s is None else start_s
     truth_s = end_s - lines.time_s
@@ -182,14 +182,14 @@ def score_flight(
 
 
 def _mean(values: ArrayLike) -> float:
-    """Mean of what is known; NaN of nothing."""
+    """Return the mean of the known values; NaN if none is known."""
     known = np.asarray(values, float)
     known = known[~np.isnan(known)]
     return float(np.mean(known)) if known.size else NAN
 
 
 def _instants(lines: ForecastLines, begin_s: float, end_s: float) -> dict[str, Instant]:
-    """The forecasts in force at the customary instants that the lines reach."""
+    """Return the forecasts in force at the usual instants that the lines reach."""
     wanted = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
     wanted |= {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}
     found: dict[str, Instant] = {}
@@ -204,14 +204,14 @@ def _instants(lines: ForecastLines, begin_s: float, end_s: float) -> dict[str, I
 
 
 def _horizon_s(truth_s: FloatArray, mass: FloatArray) -> float:
-    """True time left at the first line from which all masses stay at beta or more; 0 if the last is less."""
+    """Return the true time left at the first line from which all masses stay at beta or more; 0 if the last is less."""
     missed = np.flatnonzero(mass < BETA)
     first = int(missed[-1]) + 1 if missed.size else 0
     return float(truth_s[first]) if first < truth_s.size else 0.0
 
 
 def _alarm_at_s(time_s: FloatArray, remaining_s: FloatArray, end_s: float) -> float:
-    """True time left when the forecast, counted down between its lines, first reaches two minutes."""
+    """Return the true time left when the forecast, counted down between its lines, first reaches two minutes."""
     reached_s = time_s + np.maximum(remaining_s - ALARM_S, 0.0)
     until_s = np.minimum(np.append(time_s[1:], end_s), time_s + MAX_AGE_S)
     raised = np.flatnonzero(reached_s < until_s)
@@ -293,7 +293,7 @@ def _row(label: str, instants: Sequence[Instant]) -> ScoreRow:
 
 
 def _mean_se(values: ArrayLike) -> tuple[float, float]:
-    """Mean and its standard error sd/sqrt(n); the error of one value is unknown."""
+    """Return mean and standard error sd/sqrt(n); the error of a single value is unknown."""
     known = np.asarray(values, float)
     known = known[~np.isnan(known)]
     spread = float(np.std(known, ddof=1)) / math.sqrt(known.size) if known.size > 1 else NAN

@@ -109,7 +109,7 @@ def simulate_flight(
 
 
 def _delayed(samples: list[Sample], delay_s: float) -> list[Sample]:
-    """The rows with their current of `delay_s` ago."""
+    """Return the rows with the current of `delay_s` before."""
     if delay_s == 0.0:
         return samples
     time_s = np.array([s.time_s for s in samples])

@@ -94,14 +94,14 @@ def route_flight(
     mission = dataclasses.replace(_with_home_item(mission, home), return_reason="")  # this one has no rally points
     way: Path = path(mission, home, settings or return_settings(PARAMETERS))
     if way.reason or not way.lands:
-        raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
+        raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end, and never lands'}")
     times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
     return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
 
 
 def _with_home_item(mission: Mission, home: Home) -> Mission:
-    """The mission as an ArduPilot holds it: home in front, all others one further."""
+    """Return the mission as an ArduPilot holds it: home is item 0, all others move up by one."""
     if mission.has_home_item:
         return mission
     first = MissionItem(0, Action.WAYPOINT, home.lat_deg, home.lon_deg, home.alt_m, Frame.SEA, command=WAYPOINT)
@@ -121,7 +121,7 @@ def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:
 
 
 def _degrees(home: Home, place: Point) -> tuple[float, float]:
-    """Latitude and longitude [deg] of a place in metres around home."""
+    """Return latitude and longitude [deg] of a place in metres around home."""
     east_scale = METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
     lon_deg = math.remainder(home.lon_deg + place.east_m / east_scale, 360.0)
     return home.lat_deg + place.north_m / METRES_PER_DEGREE, lon_deg

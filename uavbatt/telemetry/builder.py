@@ -47,12 +47,12 @@ class LogBuilder:
     counts: Counter[str] = field(default_factory=Counter)
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
-    packs: dict[int, PackIdentity] = field(default_factory=dict)  # by battery
+    packs: dict[int, PackIdentity] = field(default_factory=dict)  # by number of the battery
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # a longer step ahead is a leap of the clock
     reboot_gap_s: float = REBOOT_GAP_S  # gap after a clock that fell back
-    forecast_period_s: float = NAN  # of the process that made the recording
+    forecast_period_s: float = NAN  # period of the process that made the recording
     _raw_s: float = NAN
     _offset_s: float = NAN
 
@@ -128,7 +128,7 @@ def default_instance(log: LogBuilder) -> int:
     if len(log.columns or log.rows) == 1:
         return next(iter(log.columns or log.rows))
     there = log.columns or {number: rows_of(rows) for number, rows in log.rows.items()}
-    # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
+    # min() takes the first of equals, and a dict keeps the order of the log: of equals the earlier battery is taken.
     first_s = {number: rows.first_current_s for number, rows in there.items() if not math.isnan(rows.first_current_s)}
     given = {number: given_J(there[number]) for number in first_s}
     most_J = max(given.values(), default=0.0)

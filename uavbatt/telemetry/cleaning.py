@@ -2,8 +2,10 @@
 
 A voltage that leaps between two rows is not used until a second row repeats it. A temperature that a cell cannot have,
 or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
-the model would overflow. A current that is missing for up to 5 s is held. Without a current sensor the current is
-worked out from the power that the operator stated, or from a typical power, and the filter gives it a wide error.
+the model would overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a
+fault of the sensor, or the voltage is late. A current that is missing for up to 5 s is held. Without a current sensor
+the current is worked out from the power that the operator stated, or from a typical power, and the filter gives it a
+wide error.
 """
 
 from __future__ import annotations
@@ -12,14 +14,20 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
+from uavbatt.limits import HIGHEST_C_RATE
 from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
-LATEST_S = 1e12  # no clock shows thirty thousand years
+LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0
+LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
+ANSWER_SHARE, ANSWER_WITHIN_S = (
+    0.0004,
+    2.0,
+)  # a share of the voltage for each C: the best packs show three times as much
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
-LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell: what is beyond is a fault of the monitor
+LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -30,31 +38,35 @@ class Cleaner(NamedTuple):
     stated_power_W: float = NAN
     voltage_V: float = NAN
     voltage_s: float = NAN
-    odd_V: float = NAN  # of the last row, where it leapt: used if the next row repeats it
+    odd_V: float = NAN  # last voltage, if it leapt: used if the next row repeats it
     temp_C: float = NAN
     temp_s: float = NAN
-    hottest_start_C: float = BOARD_START_C  # of a sensor in the pack
+    hottest_start_C: float = BOARD_START_C  # highest temperature at the start for a sensor in the pack
     is_board_sensor: bool = False
     reads_escs: bool = False  # the temperature is that of the motor controllers
     current_A: float = NAN
     current_s: float = NAN
+    current_V: float = NAN  # the voltage with that current
+    leapt_s: float = NAN  # time of a leap of the current that the voltage has not shown yet
     metered: bool = False
     first_s: float = NAN
     guessed: bool = False  # the current is worked out from a power
     cell_spread_V: float = 0.0
     spread_s: float = NAN
 
-    def clean(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Cleaner, Sample]:
+    def clean(
+        self, sample: Sample, assumed_power_W: float = NAN, capacity_Ah: float = math.inf
+    ) -> tuple[Cleaner, Sample]:
         """Return the cleaner after a sample, and the sample with NaN in place of what must not be used.
 
         assumed_power_W : power [W] that gives the current where there is no sensor and the operator stated no power;
-        most_A : a current above it [A] is not used, as the pack cannot give it.
+        capacity_Ah : of the pack [Ah], by which currents are judged; infinite while unknown.
         """
         if not abs(sample.time_s) < LATEST_S:
-            return self, Sample(NAN, NAN)  # nobody knows when this was
+            return self, Sample(NAN, NAN)  # the time is not known
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
-        now, current_A = now._with_current(sample, assumed_power_W, most_A)
+        now, current_A = now._with_current(sample, assumed_power_W, capacity_Ah)
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample) if sample.cell_voltages_V else now, sample
@@ -69,12 +81,13 @@ class Cleaner(NamedTuple):
             voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
             current_s=self.current_s + shift_s,
+            leapt_s=self.leapt_s + shift_s,
             first_s=self.first_s + shift_s,
             spread_s=self.spread_s + shift_s,
         )
 
     def _with_voltage(self, sample: Sample) -> tuple[Cleaner, Sample]:
-        """Take the voltage in. A leap is used from its second row on: one row may be a damaged frame."""
+        """Take the voltage in. A sudden change is used from its second row on, as one row may be a damaged frame."""
         if not math.isfinite(sample.voltage_V):
             return self, sample
         if sample.voltage_V <= 0.0:  # a meter that is not connected
@@ -94,12 +107,11 @@ class Cleaner(NamedTuple):
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board or self.reads_escs else temp_C
 
-    def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Cleaner, float]:
+    def _with_current(self, sample: Sample, assumed_power_W: float, capacity_Ah: float) -> tuple[Cleaner, float]:
         """Take the current in; returns it [A] as read, held or worked out, NaN where it is unknown."""
         is_read = math.isfinite(sample.current_A)
-        if is_read and abs(sample.current_A) <= most_A:
-            read_A = sample.current_A
-            return self._replace(current_A=read_A, current_s=sample.time_s, metered=True, guessed=False), read_A
+        if is_read and abs(sample.current_A) <= HIGHEST_C_RATE * capacity_Ah:
+            return self._with_read(sample, capacity_Ah)
         if sample.time_s - self.current_s <= HELD_CURRENT_S:
             return self, self.current_A
         if is_read:
@@ -110,6 +122,18 @@ class Cleaner(NamedTuple):
         if self.metered or not is_absent or not math.isfinite(power_W) or not sample.voltage_V > 0.0:
             return now, NAN
         return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
+
+    def _with_read(self, sample: Sample, capacity_Ah: float) -> tuple[Cleaner, float]:
+        """Take a current in that was read; return it [A], or the last one while the voltage does not show its leap."""
+        read_A, time_s = sample.current_A, sample.time_s
+        leap_C = (read_A - self.current_A) / capacity_Ah
+        if time_s - self.current_s <= LEAP_WITHIN_S and abs(leap_C) > LEAP_C and math.isfinite(self.current_V):
+            fall = (1.0 - sample.voltage_V / self.current_V) * math.copysign(1.0, leap_C)
+            since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
+            if not fall >= ANSWER_SHARE * abs(leap_C) and time_s - since_s < ANSWER_WITHIN_S:
+                return self._replace(leapt_s=since_s, metered=True, guessed=False), self.current_A
+        now = self._replace(current_A=read_A, current_s=time_s, current_V=sample.voltage_V, leapt_s=NAN)
+        return now._replace(metered=True, guessed=False), read_A
 
     def _with_cells(self, sample: Sample) -> Cleaner:
         """Take the cell voltages in: how far the weakest cell is below the mean, smoothed over half a minute."""

@@ -14,7 +14,7 @@ from uavbatt.records import NAN, Sample
 Column = NDArray[np.float64]
 Order = NDArray[np.int64]
 
-UNKNOWN = 2  # of `armed`: 0 no, 1 yes
+UNKNOWN = 2  # value of `armed`; 0 is no, 1 is yes
 _ARMED = (False, True, None)
 
 

@@ -14,7 +14,7 @@ from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.columns import Columns
 
 LONGEST_STEP_S = 30.0
-LOADED_SHARE = 1.0 / 3.0  # of the flight's high current
+LOADED_SHARE = 1.0 / 3.0  # share of the flight's high current
 
 
 class DrawnCharge(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from uavbatt.telemetry.vehicle import Vehicle
 
 VEHICLE_SILENT_S = 10.0
-AWAITED_S = 3600.0  # after that it must have landed
+AWAITED_S = 3600.0  # no flight lasts longer without telemetry
 
 
 class VehicleChoice:

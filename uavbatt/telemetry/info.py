@@ -73,7 +73,7 @@ def lines(info: LogInfo) -> list[str]:
     text = [
         f"log          {flight.source} ({flight.kind})",
         f"vehicle      {_vehicle(flight.identity)}",
-        f"battery      instance {flight.instance} of {others}",
+        f"battery      instance {flight.instance}; the log has {others}",
         f"rows         {len(samples)} in {flight.duration_s:.0f} s, median rate {_number(rate_Hz, 'Hz')}",
         f"voltage      {_span((s.voltage_V for s in samples), 'V')}",
         f"current      {_span((s.current_A for s in samples), 'A')}",
@@ -99,7 +99,7 @@ def _vehicle(who: Identity) -> str:
         f"battery serial {who.battery_serial}" if who.battery_serial else "",
         started.strftime("started %Y-%m-%d %H:%M:%S UTC") if started else "",
     ]
-    return ", ".join(s for s in said if s) or "the log does not say who flew"
+    return ", ".join(s for s in said if s) or "not named in the log"
 
 
 def _pairs(samples: Sequence[Sample]) -> Iterator[tuple[Sample, Sample]]:
@@ -131,7 +131,7 @@ def _route(navigation: Sequence[Navigation]) -> str:
         "progress" if last.current is not None else "",
         "wind" if last.wind is not None else "",
     ]
-    return ", ".join(s for s in said if s) or "the log says nothing of it"
+    return ", ".join(s for s in said if s) or "not in the log"
 
 
 def _facts(facts: PackFacts) -> str:
@@ -142,7 +142,7 @@ def _facts(facts: PackFacts) -> str:
         f"critical {facts.critical_voltage_V:.4g} V" if facts.critical_voltage_V > 0 else "",
         "sag-compensated voltage" if facts.sag_compensated else "",
     ]
-    return ", ".join(s for s in said if s) or "the log says nothing of the pack"
+    return ", ".join(s for s in said if s) or "not described in the log"
 
 
 def _gaps(gaps: Sequence[tuple[float, float]], shown: int = 5) -> str:

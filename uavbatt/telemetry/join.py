@@ -17,7 +17,7 @@ from uavbatt.errors import UsageError
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.telemetry.read import Content, content_of, read_bytes
 
-PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # a reading of another battery older than both is none
+PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # an older reading of another battery is not used
 ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
 
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 from uavbatt.mavlink import framing
 
 SYSTEM_TIME, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT = 2, 30, 32, 33
-BOOT_TIME_AT = {SYSTEM_TIME: 8, ATTITUDE: 0, LOCAL_POSITION_NED: 0, GLOBAL_POSITION_INT: 0}  # in the payload
+BOOT_TIME_AT = {SYSTEM_TIME: 8, ATTITUDE: 0, LOCAL_POSITION_NED: 0, GLOBAL_POSITION_INT: 0}  # place in the payload
 BOOT_TIME_BYTES = 4  # milliseconds
-DRIFT = 2e-4  # of a cheap crystal in the cold
+DRIFT = 2e-4  # drift of a cheap crystal in the cold [s/s]
 LOOK_S = 2.0  # the link is late only if all frames of this time are late
 BEGUN_S = 1.0  # tolerance of a boot that seems earlier than possible, because the frames before it were late
 JUST_BOOTED_S = 60.0
@@ -47,7 +47,7 @@ class Lateness(NamedTuple):
 
     boot_s: float = math.nan  # of the last frame
     base: ClockOffset | None = None
-    recent: tuple[ClockOffset, ...] = ()  # of LOOK_S, but for those that a later one has undercut
+    recent: tuple[ClockOffset, ...] = ()  # those of LOOK_S that no later one is smaller than
 
     def after(self, at_s: float, boot_s: float) -> Lateness:
         """Return the new value after a frame that was received at `at_s` [s] and sent `boot_s` [s] after the boot."""

@@ -137,7 +137,7 @@ class LiveReader:
             found.append(f"system {awaited.system} fell silent in the air: followed again when it speaks")
         for number, words in vehicle.senders.conflicts(self._now_s):
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
-        found += vehicle.voltages.notes
+        found += vehicle.notes
         for name, doubt in vehicle.parameters.doubted.items():
             change = f"{name} changed in flight from {vehicle.parameters.known[name]:g} to {doubt.value:g}"
             found.append(f"{change}: counts when it is heard again")

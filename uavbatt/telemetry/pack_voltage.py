@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 from uavbatt.mavlink.fields import BatteryFields
 
-FRESH_S = 2.0  # of SYS_STATUS
-WHOLE = 0.15  # of a cell: so near to a whole number of them is a difference that missing cells make
+FRESH_S = 2.0  # age up to which SYS_STATUS is used
+WHOLE = 0.15  # of a cell: missing cells make a difference so near a whole number of cells
 AGREE = 0.3  # of a cell
 REPEATS = 3  # rows: between two messages the load may change by a cell's worth
 MOST_TOLD = 10  # cells in the array that every sender has: the rest may be left out
 LOWEST_IN_FLIGHT_V, HIGHEST_IN_FLIGHT_V = 1.0, 5.0  # outside nothing is a cell's voltage in flight
-ANOTHER_PACK_S = 5.0  # of silence on the ground
+ANOTHER_PACK_S = 5.0  # silence on the ground, after which it may be another pack
 
 
 class Cells(NamedTuple):
@@ -29,7 +29,7 @@ class Cells(NamedTuple):
 
     most: int = 0  # cells that were told at once
     time_s: float = math.nan
-    agreed: bool = False  # the sum has been what SYS_STATUS says
+    agreed: bool = False  # the sum has agreed with SYS_STATUS
     missing: int = 0  # by the difference to SYS_STATUS in the last row; negative: too many
     repeats: int = 0  # rows with that difference
 
@@ -62,7 +62,7 @@ class PackVoltages:
             before = Cells()
         told_V = battery.cell_voltages_V
         if not told_V and before.most > 1 and battery.voltage_V < HIGHEST_IN_FLIGHT_V:
-            told_V = (battery.voltage_V,)  # the last one that is left is no pack
+            told_V = (battery.voltage_V,)  # a single cell that is left is no pack
         sound_V = [volts for volts in told_V if LOWEST_IN_FLIGHT_V < volts < HIGHEST_IN_FLIGHT_V]
         if not sound_V:
             return battery

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
-VOLTAGE_ONLY, ESCS, SUM_OF_OTHERS = 3.0, 9.0, 10.0  # of BATT_MONITOR
+VOLTAGE_ONLY, ESCS, SUM_OF_OTHERS = 3.0, 9.0, 10.0  # values of BATT_MONITOR
 _MOST_MONITORS = 16
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
@@ -40,7 +40,7 @@ class HeardParameters:
         self.known: dict[str, float] = {}
         self.doubted: dict[str, HeardOnce] = {}
         self.version = 0  # grows with every change
-        self._resumed: set[str] = set()  # of the known ones, those that only an earlier process heard
+        self._resumed: set[str] = set()  # parameters that only an earlier process heard
 
     def counts(self, name: str, value: float, sequence: int, is_armed: bool) -> bool:
         """Process a statement of a parameter; return True if it counts from now on."""
@@ -64,7 +64,7 @@ class HeardParameters:
         """Use parameters from an earlier process; they replace any that were resumed before, and no heard ones."""
         heard = {name: value for name, value in self.known.items() if name not in self._resumed}
         self.known, self._resumed = {**earlier, **heard}, earlier.keys() - heard.keys()
-        for name in self.doubted.keys() - self.known.keys():  # nothing is left that it would change
+        for name in self.doubted.keys() - self.known.keys():  # the parameter is no longer known
             self.known[name] = self.doubted.pop(name).value
         self.version += 1
 
@@ -121,7 +121,7 @@ def monitor_parameter(instance: int) -> str:
 
 
 def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:
-    """Facts of `instance` from all parameters known so far."""
+    """Return the facts of `instance` from all parameters known so far."""
     prefix = ardupilot_prefix(instance)
     cells = _px4(known, instance, "N_CELLS")
     empty_V = _px4(known, instance, "V_EMPTY")
@@ -175,5 +175,5 @@ def _px4(known: Mapping[str, float], instance: int, what: str) -> float:
 
 
 def _first(known: Mapping[str, float], *names: str) -> float:
-    """The first of the named parameters that is set (> 0), else NaN."""
+    """Return the first of the named parameters that is set (> 0), else NaN."""
     return next((known[name] for name in names if known.get(name, 0.0) > 0), NAN)

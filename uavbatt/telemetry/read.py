@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
 STANDARD_INPUT = "-"
+MOST_BYTES = 2**32  # the largest file on the FAT32 card of an autopilot
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
@@ -84,9 +85,8 @@ def content_of(path: Path) -> tuple[str, Content]:
     """
     if str(path) == STANDARD_INPUT:
         return as_log("standard input", sys.stdin.buffer.read())
-    if path.is_dir():
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
+        _check_has_end(path)
         with path.open("rb") as file:
             head = file.peek()
             if is_packed(head):
@@ -100,18 +100,31 @@ def content_of(path: Path) -> tuple[str, Content]:
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
 
 
+def _check_has_end(path: Path) -> None:
+    """Raise BadInput for a directory, a device or a file that is too large for the memory."""
+    found = ""
+    if path.is_dir():
+        found = "a directory"
+    elif path.is_char_device() or path.is_block_device():
+        found = "a device"
+    elif path.is_file() and path.stat().st_size > MOST_BYTES:
+        found = f"a file of more than {MOST_BYTES >> 30} GiB"
+    if found:
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found {found}")
+
+
 def _binary(file: BufferedReader) -> Content:
-    """All of a binary file, in numpy's memory: it asks for large pages, small ones cost more than the reading."""
+    """Return a whole binary file in numpy's memory, whose large pages are faster than Python's own."""
     import numpy as np
 
     found = np.empty(os.fstat(file.fileno()).st_size, np.uint8).data
     size = file.readinto(found)
-    rest = file.read()  # of what is a pipe, or is still being written
+    rest = file.read()  # more bytes, of a pipe or of a file that still grows
     return bytes(found[:size]) + rest if rest else found[:size]
 
 
 def _kind(source: str, data: Content) -> str:
-    """The kind of log, from its content; the suffix only where the head is damaged."""
+    """Return the kind of log by its content; by its suffix only if the head is damaged."""
     head = bytes(data[:_HEAD_BYTES])
     if head.startswith(_ULOG):
         return "ulog"
@@ -128,7 +141,7 @@ def _kind(source: str, data: Content) -> str:
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded blackbox log: decode it with blackbox_decode")
     if PurePath(source).name.startswith(_DJI_RECORD):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded DJI flight record: convert it to CSV first")
-    # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
+    # a damaged head: try tlog first, because a tlog may contain a downloaded DataFlash log
     from uavbatt.telemetry.formats.tlog_frames import looks_like_tlog
 
     if looks_like_tlog(data):
@@ -141,20 +154,20 @@ def _kind(source: str, data: Content) -> str:
 
 
 def _is_text(head: bytes) -> bool:
-    """No NUL, and hardly any byte that text does not have."""
+    """Return True if there is no NUL and hardly any byte that text does not have."""
     odd = len(head) - len(head.translate(None, _ODD_IN_TEXT))
     return b"\0" not in head and odd <= len(head) // 1000 and b"%PDF" not in head[:8]
 
 
 def _is_table(head: bytes) -> bool:
-    """True if the first line could be the header of a telemetry table, well or badly spelt."""
+    """Return True if the first line could be the header of a telemetry table, well or badly spelt."""
     first = head.lstrip().split(b"\n")[0].decode("utf-8", errors="replace")
     names = {name.lower() for name in _WORD.findall(first)}
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
 def _kind_and_rows(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
-    """The kind of a log, and its rows; BadInput if it is none or has none."""
+    """Return the kind of a log and its rows. Raises BadInput if it is no log or has no rows."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
@@ -203,7 +216,7 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
 
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:
-    """The asked instance, which must be there, or the default one."""
+    """Return the wanted instance, or the default one. Raises UsageError if the log does not have it."""
     if not isinstance(instance, SupportsIndex | None):
         raise UsageError(f"instance={instance!r}: expected the number of a battery, or None")
     chosen = default_instance(log) if instance is None else instance

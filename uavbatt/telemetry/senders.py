@@ -21,9 +21,9 @@ from uavbatt.telemetry.streams import Stream
 SENDER_SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
 WINDOW_S, FEWEST_ROWS = 10.0, 4
-HELD_S = 10.0  # after the last row of one that disagreed; a conflict that flickers is one
+HELD_S = 10.0  # a conflict lasts so long after the last row that disagreed
 MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
-# Two ways of one autopilot differ by what changes between their rows; ranges over seconds overlap.
+# Readings of one autopilot over two links differ by what changes between their rows; ranges over seconds overlap.
 APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02
 
 
@@ -122,7 +122,7 @@ def _together(one: list[SenderRow], other: list[SenderRow]) -> tuple[list[Sender
 
 
 def _places(*senders: object) -> str:
-    """Addresses in words, in a fixed order; streams have none."""
+    """Return addresses in words, in a fixed order; streams have none."""
     addresses = [s.sender if isinstance(s, Stream) else s for s in senders]
     named = [f"{s[0]}:{s[1]}" if isinstance(s, tuple) else s for s in addresses]
     places = sorted({place for place in named if isinstance(place, str) and ":" in place})

@@ -13,9 +13,9 @@ from collections import deque
 from typing import NamedTuple
 
 NUMBERS = 256
-LOST = 8  # so many frames may be missing within one count
-FAR = 32  # nearer counts may be one, with frames that come late
-TURNS, WITHIN_S = 8, 10.0  # of the counts, until they are two
+LOST = 8  # frames that may be missing in one sequence
+FAR = 32  # nearer sequences may be one, whose frames come late
+TURNS, WITHIN_S = 8, 10.0  # changes between two sequences, after which they are two senders
 
 
 class Stream(NamedTuple):
@@ -44,7 +44,7 @@ class SequenceNumbers:
                 self._turns.append(time_s)
             self._now = other
         elif self._steps(self._now, number) > LOST:
-            self._now = other  # a jump: the count that has rested begins anew
+            self._now = other  # a jump: the sequence that was idle begins anew
         self._last[self._now] = number
         return self._streams[self._now if time_s - self._turns[0] <= WITHIN_S else 0]
 

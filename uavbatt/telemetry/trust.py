@@ -28,7 +28,7 @@ _LONG_GAP_S = 10.0
 _CUT_RECORD_BYTES = 300
 _MISMATCH, _MISMATCH_AH = 0.10, 0.05
 _LOOSE_SAG = -0.3  # real logs with simultaneous readings lie between -0.5 and -1
-# Notes of the readers that bear on the result, by their first words.
+# Notes of the readers that matter for the result, by their first words.
 _GRAVE_NOTES = ("reboot", "clock leap", "battery records carry no time", "no BATTERY_STATUS", "the file is damaged")
 _DEFAULT_CAPACITY = "3300 mAh"
 

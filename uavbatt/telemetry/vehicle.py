@@ -9,7 +9,8 @@ SYS_STATUS is used for battery 0 (BATTERY2 for 1) only if no BATTERY_STATUS come
 FALLBACK_AFTER_S and then released. If battery 0 is the only one, they count again after ALONE_AFTER_S without its
 BATTERY_STATUS. The first row of a battery waits for the second one: one damaged frame in 65 536 has a good checksum,
 and must not make a battery that does not exist. PARAM_VALUE of an integer waits for the first heartbeat, because PX4
-sends the bits of an integer and ArduPilot its value.
+sends the bits of an integer and ArduPilot its value. An armed vehicle is disarmed when two heartbeats in a row say so:
+a damaged one must not end a flight.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ from uavbatt.telemetry.senders import MOST_SENDERS, Senders
 from uavbatt.telemetry.streams import SequenceNumbers
 
 FALLBACK_AFTER_S = 5.0
-ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
-LONGEST_ALONE_S = 2.0  # that one SYS_STATUS stands for: in a gap of the link nothing speaks
+ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
+LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 CONFIRMED_WITHIN_S = 60.0
 BEATING_S = 3.0
+WITHOUT_VOLTAGE = 5  # battery messages, before it is said
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
 MOST_TRANSFER_WORDS = 6000
@@ -62,6 +64,21 @@ def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
     return fields.sys_status(message) if message_id == fields.SYS_STATUS else fields.battery2(message)
 
 
+def heard_twice(row: LiveRow, known: set[int], first_rows: dict[int, LiveRow]) -> list[LiveRow]:
+    """Return the rows to use: none at the first row of a battery, both rows at its second, then each row.
+
+    known : the batteries that were heard twice; first_rows : the first rows of others. Both are updated.
+    """
+    if row.instance in known:
+        return [row]
+    first = first_rows.pop(row.instance, None)
+    if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
+        first_rows[row.instance] = row
+        return []
+    known.add(row.instance)
+    return [first, row]
+
+
 class Vehicle:
     """Vehicle takes the frames of one autopilot in order of reception, and gives the rows of its batteries."""
 
@@ -78,17 +95,21 @@ class Vehicle:
         self.is_px4: bool | None = None  # until the first heartbeat
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
         self.hardware = ""  # serial number of the autopilot
-        self.packs: dict[int, fields.PackIdentity] = {}  # who the packs are by their own words
-        self.speaks = False  # whether it has spoken of a battery twice
+        self.packs: dict[int, fields.PackIdentity] = {}  # identity of each pack, as it says itself
+        self._without_voltage = 0  # battery messages without a voltage
+        self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
+        self._said_armed = False  # by the last heartbeat
         self.lateness = Lateness()
-        self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
+        self._log = LogBuilder(longest_step_s=math.inf)  # the clock is monotonic: a long step is a real gap
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
+        self._fallback_ids: set[int] = set()
+        self._unconfirmed_fallback: dict[int, LiveRow] = {}
         self._first_s: float | None = None
         self._sys_status_s = -math.inf
-        self._alone_s = 0.0  # for which SYS_STATUS has come without a row of BATTERY_STATUS of battery 0
+        self._alone_s = 0.0  # time of SYS_STATUS without BATTERY_STATUS of battery 0
         self._spoke_s = -math.inf
 
     @property
@@ -105,6 +126,13 @@ class Vehicle:
     def is_beating(self) -> bool:
         """Return True if a heartbeat came shortly before the last frame, so that the armed bit is up to date."""
         return self.now_s - self._beat_s <= BEATING_S
+
+    @property
+    def notes(self) -> list[str]:
+        """Return notes for the operator about the voltages of the batteries."""
+        if self.speaks or self._without_voltage < WITHOUT_VOLTAGE:
+            return [*self.voltages.notes]
+        return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
         """Return the sender of a frame from an address: two may share one address (`streams`)."""
@@ -160,7 +188,9 @@ class Vehicle:
     ) -> list[LiveRow]:
         """Return the rows that a message of the autopilot completes; `battery` is the battery reading in it, if any."""
         if message_id == fields.HEARTBEAT:
-            self._log.armed, self._beat_s = fields.is_armed(message), time_s
+            says_armed = fields.is_armed(message)
+            self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
+            self._said_armed, self._beat_s = says_armed, time_s
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
             self.route.take(time_s, message_id, message)
             self.words[b"heartbeat"] = frame
@@ -177,7 +207,7 @@ class Vehicle:
         if message_id in OF_AUTOPILOT:
             self._take_of_route(message_id, message, frame, time_s)
             return []
-        if battery is None:  # of a mission's writer, under the autopilot's own name
+        if battery is None:  # from a program that writes a mission, with the autopilot's own ids
             return []
         if message_id == fields.BATTERY_STATUS:
             row = self._row(time_s, self._with_all_cells(battery, time_s))
@@ -208,17 +238,14 @@ class Vehicle:
             self.words[name.encode("latin-1")] = frame
 
     def _confirmed(self, row: LiveRow) -> list[LiveRow]:
-        """Return the row; nothing if it is the first of its battery, and both if it is the second."""
-        if row.instance in self.battery_ids:
-            return [row]
-        first = self._unconfirmed.pop(row.instance, None)
-        if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
-            self._unconfirmed[row.instance] = row
-            return []
-        self.battery_ids.add(row.instance)
+        """Return the rows of BATTERY_STATUS that count from now on, and drop held rows of the same battery."""
+        found = heard_twice(row, self.battery_ids, self._unconfirmed)
+        if len(found) < 2:
+            return found
+        first, _ = found
         is_completed = first.sample.cell_voltages_V and not row.sample.cell_voltages_V
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [row] if is_completed else [first, row]  # the first one's sum lacks the same cells
+        return [row] if is_completed else found  # the first row lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """Return rows of SYS_STATUS or BATTERY2 once it is clear that no BATTERY_STATUS comes for the battery."""
@@ -235,8 +262,8 @@ class Vehicle:
         if self._first_s is None:
             self._first_s = time_s
         row = self._row(time_s, battery)
-        if row is not None and len(self._held) < MOST_HELD:
-            self._held.append(row)
+        found = [] if row is None else heard_twice(row, self._fallback_ids, self._unconfirmed_fallback)
+        self._held += found[: MOST_HELD - len(self._held)]
         return self._released(time_s)
 
     def _released(self, time_s: float) -> list[LiveRow]:
@@ -262,6 +289,7 @@ class Vehicle:
             cell_voltages_V=battery.cell_voltages_V,
         )
         if not self._log.add(battery.id, sample):
+            self._without_voltage += not math.isfinite(battery.voltage_V)
             return None
         kept = self._log.rows[battery.id]
         del kept[:-1]

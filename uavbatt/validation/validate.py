@@ -136,7 +136,7 @@ def validate(
 
 
 def _judged_repeats(readings: Readings, limits: Limits) -> Levels:
-    """The repeated runs that are gated. Raises NotEnoughData for too few, and for none above the limiter."""
+    """Return the repeated runs that are gated. Raises NotEnoughData if too few, or if none is above the limiter."""
     dataset, ambient_C = readings.dataset, readings.ambient_C
     levels = readings.levels(ambient_C)
     if levels is None or len(levels.occasions) < LEAST_OCCASIONS:

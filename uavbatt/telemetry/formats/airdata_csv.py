@@ -37,7 +37,7 @@ def read_airdata(source: str, data: bytes) -> LogBuilder:
 
 
 def _utc_s(said: str) -> float:
-    """Seconds since 1970 of `2026-05-01 10:00:00`; NaN for anything else."""
+    """Return the seconds since 1970 of a time as `2026-05-01 10:00:00`; NaN for anything else."""
     try:
         return utc_s(datetime.fromisoformat(said).replace(tzinfo=UTC).timestamp())
     except ValueError:

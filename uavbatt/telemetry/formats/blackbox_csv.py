@@ -53,6 +53,6 @@ def _add_means(rows: Iterable[TableRow], log: LogBuilder) -> None:
 
 
 def _mean(values: list[float]) -> float:
-    """The mean of what was measured; NaN if nothing was."""
+    """Return the mean of the measured values; NaN if there is none."""
     known = [value for value in values if not math.isnan(value)]
     return math.fsum(known) / len(known) if known else NAN

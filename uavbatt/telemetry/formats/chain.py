@@ -32,7 +32,7 @@ class Chain:
         self.position = 0
         self.in_chain = False
         self.skipped = 0
-        self.gap_start = 0  # of the gap that ends at `position`, if it is one
+        self.gap_start = 0  # start of the gap that ends at `position`, if there is one
 
     def take(self, starts: Places, ends: Places, sure: Mask | None, vouch: Vouch, judge: Judge, until: int) -> Mask:
         """Return a mask of the candidates that are records, from `position` on until one ends at or behind `until`.
@@ -50,7 +50,7 @@ class Chain:
             joined &= sure
         places = np.flatnonzero(~joined)
         stops, vouched = places.tolist(), vouch(places).tolist()
-        following = starts.searchsorted(ends[places]).tolist()  # what begins where a stop ends, or behind it
+        following = starts.searchsorted(ends[places]).tolist()  # the first record at or behind the end of a stop
         stop, index = 0, int(starts.searchsorted(self.position))
         while self.position < until:
             if index == len(starts):

@@ -32,7 +32,7 @@ def checksums(
 
 
 def _after(mixed: Checksums) -> Checksums:
-    """The checksum after a byte; mixed: the one before, with the byte in its lower half by exclusive or."""
+    """Return the checksum after a byte; mixed: the checksum before, with the byte XORed into its lower half."""
     return np.asarray(mixed >> 8 ^ _of_byte()[mixed & 0xFF], np.uint16)
 
 
@@ -46,5 +46,5 @@ def _of_byte() -> Checksums:
 
 @cache
 def _after_two() -> Checksums:
-    """`_after` twice, for every 16 bits: both bytes of a pair can be mixed in beforehand."""
+    """Return the table of `_after` applied twice to every 16 bits, so that one look-up takes two bytes."""
     return _after(_after(np.arange(1 << 16, dtype=np.uint16)))

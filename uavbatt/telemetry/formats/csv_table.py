@@ -21,12 +21,13 @@ from datetime import UTC, datetime
 from uavbatt.errors import BadInput
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_VOLTAGE_V, LogBuilder
+from uavbatt.telemetry.cleaning import LATEST_S
 from uavbatt.telemetry.formats.csv_units import check_units
 from uavbatt.telemetry.formats.px4_unknown import px4_value
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
-# ulog2csv's columns of battery_status, the first that is there for each of ours, with the factor to our unit.
+# Columns of ulog2csv for each of ours, the first that is there, with the factor to our unit.
 ULOG2CSV: dict[str, tuple[tuple[str, ...], float]] = {
     "time_s": (("timestamp",), 1e-6),
     "voltage_V": (("voltage_v", "voltage_filtered_v"), 1.0),
@@ -65,7 +66,7 @@ def read_csv(source: str, data: bytes) -> LogBuilder:
         sample = _sample(source, place, named, before_s)
         before_s = sample.time_s
         start_s = before_s if start_s is None else start_s
-        log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
+        log.now_s = before_s - start_s  # the times of a table are stated: a jump is no reboot
         log.add(0, replace(sample, time_s=log.now_s))
     check_units(source, log.rows.get(0, []), log.counts[IMPOSSIBLE_CURRENTS])
     return log
@@ -81,7 +82,7 @@ def _ulog2csv(header: Sequence[str]) -> dict[str, tuple[str, float]]:
 
 
 def _scaled(column: str, cell: str, factor: float) -> str:
-    """A cell of PX4's column in our unit, empty where it stands for unknown; what is no number stays, to be refused."""
+    """Return a cell of PX4's column in our unit, empty if unknown; what is no number stays, and is refused later."""
     try:
         value = float(cell)
     except ValueError:
@@ -92,7 +93,7 @@ def _scaled(column: str, cell: str, factor: float) -> str:
 
 
 def _seconds(cell: str) -> str:
-    """A time in ISO 8601 as seconds; any other cell as it is."""
+    """Return a time in ISO 8601 as seconds; any other cell unchanged."""
     if not _ISO.match(cell):
         return cell
     try:
@@ -106,11 +107,11 @@ def _cells(line: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader(io.StringIO(line)))]
     except csv.Error:
-        return [line]  # one endless cell: refused by the count of columns
+        return [line]  # a cell without an end: the count of columns refuses it
 
 
 def _columns(source: str, header: Sequence[str], log: LogBuilder) -> list[str]:
-    """The header, checked: known columns once each, none missing, none misspelt."""
+    """Return the names of the columns. Raises BadInput for one that is missing, misspelt or there twice."""
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if any(mark in column for column in header):
             raise BadInput(source, "header", f"columns separated by commas, found {name}")
@@ -139,7 +140,7 @@ def _close(name: str, candidates: Sequence[str]) -> str | None:
 
 
 def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> Sample:
-    """One row, checked, with its time [s] as written; `before_s` is the row's before it."""
+    """Return one checked row, with its time [s] as written; `before_s` is the time of the row before."""
 
     def number(column: str, needed: bool = False) -> float:
         return _number(cells.get(column, ""), needed, lambda e: BadInput(source, f"{place}, column {column}", e))
@@ -148,6 +149,8 @@ def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> 
     time_s, voltage_V = number("time_s", needed=True), number("voltage_V", needed=True)
     if time_s < before_s:
         raise BadInput(source, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")
+    if not abs(time_s) < LATEST_S:
+        raise BadInput(source, f"{place}, column time_s", f"seconds, found {time_s:g}")
     if voltage_V > MAX_VOLTAGE_V:
         raise BadInput(source, f"{place}, column voltage_V", f"volts, found {voltage_V:g} (millivolts?)")
     soc, consumed_Ah = number("reported_soc"), number("consumed_Ah")
@@ -168,7 +171,7 @@ def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> 
 
 
 def _number(cell: str, needed: bool, error: Callable[[str], BadInput]) -> float:
-    """A cell as a number; NaN for an empty one, which a needed column may not have."""
+    """Return a cell as a number; NaN for an empty cell, which is an error in a needed column."""
     try:
         value = float(cell) if cell and "_" not in cell else NAN
     except ValueError:

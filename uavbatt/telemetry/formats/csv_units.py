@@ -22,7 +22,7 @@ SEVERAL_STEPS, SEVERAL_ROWS = 5, 20
 LEAST_COUNTED_AH, SAME, SHORT_S = 0.3, 0.1, 90.0
 LATER_UNITS = {60.0: "minutes", 3600.0: "hours"}  # in seconds
 MILLI = 1000.0
-# Under an equal load a cell falls by so much only when it has given so much of its charge.
+# Under an equal load a cell falls by this voltage only after it has given this share of its charge.
 FALLEN_CELL_V, FALLEN_SHARE, EQUAL_LOAD = 0.35, 0.4, 0.3
 
 
@@ -44,14 +44,14 @@ def check_units(source: str, rows: Sequence[Sample], impossible: int) -> None:
 
 
 def _check_slow_rows(source: str, rows: Sequence[Sample]) -> None:
-    """Rows that come minutes apart throughout are no telemetry: their time is in milliseconds."""
+    """Raise BadInput if all rows are minutes apart: their time is in milliseconds."""
     steps_s = [b.time_s - a.time_s for a, b in pairwise(rows)]
     if len(steps_s) >= SEVERAL_STEPS and median(steps_s) >= LONGEST_ROW_S:
         raise BadInput(source, "column time_s", f"seconds, found rows {median(steps_s):g} apart (milliseconds?)")
 
 
 def _check_counted(source: str, rows: Sequence[Sample]) -> None:
-    """Hold the charge by current and time against the autopilot's counter, as far as that has risen."""
+    """Compare the charge by current and time with the autopilot's counter, as far as that has risen."""
     total = drawn(rows, math.inf)
     if not (total.counter_Ah >= LEAST_COUNTED_AH and total.charge_Ah > 0.0):
         return
@@ -69,7 +69,7 @@ def _is_about(value: float, expected: float) -> bool:
 
 
 def _check_fallen(source: str, rows: Sequence[Sample]) -> None:
-    """Hold the fall of the voltage under an equal load against the time in which a pack can give so much charge."""
+    """Compare the fall of the voltage under an equal load with the time in which a pack can give so much charge."""
     amps = np.array([row.current_A for row in rows])
     loaded = [row for row, is_loaded in zip(rows, amps > loaded_A(amps), strict=True) if is_loaded]
     if len(loaded) < SEVERAL_ROWS:

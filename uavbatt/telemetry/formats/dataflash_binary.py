@@ -42,7 +42,7 @@ CHARACTERS = {
 
 @dataclass(frozen=True, slots=True)
 class _Definition:
-    """The content of one FMT record; a type with unknown characters has no layout and can only be walked over."""
+    """_Definition holds one FMT record; a type with unknown characters has no layout, and its records are skipped."""
 
     type: int
     length: int
@@ -50,7 +50,7 @@ class _Definition:
 
 
 class _Definitions:
-    """The definitions in force at the place that the walk has reached."""
+    """_Definitions holds the definitions in force at the place that the walk has reached."""
 
     def __init__(self) -> None:
         self.known = [_Definition(FMT_TYPE, _FMT_LENGTH, None)]
@@ -58,7 +58,7 @@ class _Definitions:
         self.of_type[FMT_TYPE] = 0
 
     def applied(self, types: Bytes, starts: Places, formats: list[tuple[int, _Definition]]) -> NDArray[np.int64]:
-        """Index of the definition of each header; a definition counts for headers behind it."""
+        """Return the index of the definition of each header; a definition counts for the headers behind it."""
         found = self.of_type[types]
         for position, said in formats:
             if said != self._at(said.type):
@@ -72,7 +72,7 @@ class _Definitions:
         return None if index == _UNKNOWN else self.known[index]
 
     def copy(self) -> _Definitions:
-        """A copy to try on."""
+        """Return a copy, on which a walk can be tried."""
         twin = _Definitions()
         twin.known, twin.of_type = list(self.known), self.of_type.copy()
         return twin
@@ -90,7 +90,7 @@ def read_dataflash(data: bytes | memoryview) -> LogBuilder:
 
 
 class _Records:
-    """Places of the wanted records of a file, by definition, and the first and last of any kind that carry a time."""
+    """_Records holds the places of the wanted records, by definition, and the first and last record with a time."""
 
     def __init__(self, data: Bytes) -> None:
         self.data = data
@@ -106,7 +106,7 @@ class _Records:
         self.skipped_bytes = self._chain.skipped - ended_in_padding * (len(data) - self._chain.gap_start)
 
     def tables(self, wanted: re.Pattern[str]) -> list[Table]:
-        """The records of the wanted names as columns, one table for each definition that was in force."""
+        """Return the records of the wanted names as columns, one table for each definition that was in force."""
         kept = [(self._definitions.known[index].layout, parts) for index, parts in self._places.items()]
         return [
             _table(self.data, np.concatenate(parts), layout)
@@ -132,7 +132,7 @@ class _Records:
             taken = chain.take(where, ends, None, *self._sound(ends), end)
             where, which = where[taken], which[taken]
             records = set(where[which == 0].tolist())
-            # what looked like a definition inside another record is none: then once more without it
+            # bytes inside another record only looked like a definition: walk again without it
             sound = [f for f in formats if f[0] in records]
             if len(sound) == len(formats):
                 break
@@ -159,7 +159,7 @@ class _Records:
         return Moment(int(position), float(one.numbers[layout.labels[0]][0]) / layout.ticks_per_s)
 
     def _formats(self, starts: Places) -> list[tuple[int, _Definition]]:
-        """Position and meaning of everything that looks like a sound FMT record."""
+        """Return place and meaning of every FMT record that looks sound."""
         found = []
         for position in starts.tolist():
             if position + _FMT_LENGTH <= len(self.data) and self._continues(position + _FMT_LENGTH):
@@ -169,7 +169,7 @@ class _Records:
         return found
 
     def _sound(self, ends: Places) -> tuple[Vouch, Judge]:
-        """A record is sound if the log goes on where it ends, whatever stood before it."""
+        """Return the two checks of a record: it is sound if the log goes on where it ends."""
 
         def judge(index: int, _: bool) -> bool:
             return self._continues(int(ends[index]))
@@ -182,14 +182,14 @@ class _Records:
         return vouch, judge
 
     def _continues(self, end: int) -> bool:
-        """Is `end` a place where a sound record may end: before a header, the end, or padding to it."""
+        """Return True if a sound record may end at `end`: before a header, padding, or the end of the file."""
         if end >= len(self.data) - 1 or end >= self._padding:
             return True
         return bool(self.data[end] == HEADER[0] and self.data[end + 1] == HEADER[1])
 
 
 def _headers(data: Bytes, begin: int, end: int) -> Places:
-    """Every A3 95 that begins from `begin` to `end`, with a type behind it."""
+    """Return the places of every A3 95 from `begin` to `end` that a type follows."""
     stop = min(end, len(data) - 2)
     if stop <= begin:
         return np.zeros(0, np.int64)
@@ -222,12 +222,12 @@ def _definition(payload: bytes) -> _Definition | None:
 
 
 def _record(chars: str) -> np.dtype[Any]:
-    """The payload of a record with these format characters; its fields are numbered."""
+    """Return the layout of a payload with these format characters; its fields are numbered."""
     return np.dtype([(str(i), CHARACTERS[c][0]) for i, c in enumerate(chars)])
 
 
 def _table(data: Bytes, starts: Places, layout: RowLayout) -> Table:
-    """The columns of the records of one layout that somebody reads."""
+    """Return the columns of the records of one layout, only those that are used."""
     record = _record(layout.chars)
     values: Any = gathered(data, starts + 3, record.itemsize).view(record)[:, 0]
     numbers, texts = {}, {}

@@ -28,7 +28,7 @@ def identity(tables: Sequence[Table], first: Moment | None, head: Iterable[str] 
 
 
 def _start_utc_s(table: Table, first: Moment | None) -> float:
-    """UTC of the log's first record, by the first fix; of the fix itself where GPS records carry no time."""
+    """Return the UTC of the log's first record, by the first GPS fix; that of the fix if GPS records carry no time."""
     week = next((table.column(label) for label in _WEEK if label in table.numbers), None)
     time_ms = next((table.column(label) for label in _TIME_OF_WEEK if label in table.numbers), None)
     if week is None or time_ms is None or not (week > 0).any():

@@ -64,7 +64,7 @@ def navigation(
 
 
 def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[PlacedEvent]:
-    """Modes, homes, winds, and whether it has landed."""
+    """Yield modes, homes, winds, and whether the aircraft has landed."""
     name = table.layout.name
     if name == "MODE":
         modes = zip(table.order.tolist(), time_s.tolist(), _modes(table), strict=True)
@@ -80,11 +80,11 @@ def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterato
 
 
 class _Mission:
-    """The mission as CMD records tell it, one by one."""
+    """_Mission puts the mission together from CMD records, one by one."""
 
     def __init__(self, builder: NavigationBuilder) -> None:
         self._builder = builder
-        self._items: list[MissionItem] = []  # of a list that is being written
+        self._items: list[MissionItem] = []  # items of a list that is being written
 
     def command(self, time_s: float, total: int, fields: Fields) -> None:
         """Take a CMD: the next of a list, the first of one, or the item that is flown now."""
@@ -110,7 +110,7 @@ class _Mission:
 
 
 def _commands(table: Table, time_s: Column, takes: _Mission) -> Iterator[PlacedEvent]:
-    """CMD and MISE records; what has no frame in the log has none that is known."""
+    """Yield the items of CMD and MISE records; an item without a frame in the log has an unknown one."""
     labels = ("CTot", "CNum", "CId", "Prm1", "Prm2", "Prm3", "Prm4", "Lat", "Lng", "Alt", "Frame")
     columns = {label: table.column(label) for label in labels}
     columns["Frame"] = np.where(np.isnan(columns["Frame"]), _NO_FRAME, columns["Frame"])
@@ -142,7 +142,7 @@ def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator
 def _positions(
     table: Table, time_s: Column, fixes: Sequence[Table], clock: DataflashClock, builder: NavigationBuilder
 ) -> Iterator[PlacedEvent]:
-    """POS with the velocity of the last fix; a log that goes on would tell if another item were flown."""
+    """Yield the positions of POS with the velocity of the last fix; the same item is still flown at each."""
     height = next((label for label in ("RelHomeAlt", "RelAlt") if label in table.numbers), "RelHomeAlt")
     chosen = one_each(time_s, POSITION_STEP_S)
     order, at_s = table.order[chosen], time_s[chosen]
@@ -154,7 +154,7 @@ def _positions(
 
 
 def _velocities(order: Order, at_s: Column, fixes: Sequence[Table], clock: DataflashClock) -> list[Column]:
-    """Velocity north, east and up [m/s] by the last fix before each place, NaN where that is old."""
+    """Return the velocity north, east and up [m/s] by the last fix before each place; NaN if that is old."""
     found = [np.full(len(order), np.nan) for _ in range(3)]
     for fix in fixes:
         if not len(fix.order):

@@ -103,20 +103,20 @@ class DataflashClock(NamedTuple):
 
 
 class _TimedTable(NamedTuple):
-    """A table with the time of each record [s]."""
+    """_TimedTable is a table with the time of each record [s]."""
 
     table: Table
     time_s: Column
 
 
 class _Change(NamedTuple):
-    """Values that hold from their place in the log on."""
+    """_Change holds values that are in force from their place in the log on."""
 
     order: Order
     value: NDArray[np.float64]
 
     def at(self, order: Order, before: float) -> NDArray[np.float64]:
-        """The value in force at each place, `before` where there was none yet."""
+        """Return the value in force at each place, `before` if there is none yet."""
         return np.append(self.value, before)[latest_before(order, self.order)]
 
 
@@ -159,7 +159,7 @@ def _tables_named(timed: Sequence[_TimedTable], start: str) -> list[_TimedTable]
 
 
 def _merged(parts: Sequence[Sequence[Column | Order]]) -> list[NDArray[Any]]:
-    """Columns of several tables as one, in the order of the log, which is their first column."""
+    """Return columns of several tables as one, in the order of the log, which is their first column."""
     columns = [np.concatenate(same) for same in zip(*parts, strict=True)]
     in_order = np.argsort(columns[0], kind="stable")
     return [column[in_order] for column in columns]
@@ -173,7 +173,7 @@ def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
 def _with_times(
     tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder
 ) -> tuple[DataflashClock, list[_TimedTable]]:
-    """Every table with its times; what carries no time is as late as the latest record before it."""
+    """Return every table with its times; a record without a time gets that of the latest record before it."""
     moments = [(np.array([m.order]), np.array([m.raw_s])) for m in (first, last) if m is not None]
     clocks = [(t.order, t.column(t.layout.labels[0]) / t.layout.ticks_per_s) for t in tables if t.layout.ticks_per_s]
     told = _change(moments + clocks)
@@ -196,7 +196,7 @@ def _with_times(
 
 
 def _counted(tables: Sequence[Table]) -> _Change:
-    """Battery records without a time: one second a record of each battery."""
+    """Return times for battery records without a time: one second for each record of a battery."""
     order, instance = _change([(t.order, _instance(t)) for t in tables])
     count = np.zeros(len(order))
     for number in distinct(instance):
@@ -215,12 +215,12 @@ def _add_parameters(parameters: Sequence[_TimedTable], log: LogBuilder) -> None:
 
 
 def _names(table: Table) -> Sequence[str]:
-    """Names of parameters; none where the log's own layout has none."""
+    """Return the names of the parameters; empty if the log's layout has no names."""
     return table.texts.get("Name", ())
 
 
 def _without_current(order: Order, instance: Order, parameters: Sequence[_TimedTable]) -> NDArray[np.bool_]:
-    """Rows of batteries whose monitor is known, by then, to measure no current."""
+    """Mark the rows of batteries whose monitor, as known by then, measures no current."""
     blind = np.zeros(len(order), np.bool_)
     for number in distinct(instance):
         wanted = monitor_parameter(number)
@@ -250,7 +250,7 @@ def _instance(table: Table) -> Order:
 
 
 def _battery_columns(table: Table) -> tuple[Column, ...]:
-    """Voltage, current, temperature, charge and state of charge as the autopilot reports them."""
+    """Return voltage, current, temperature, charge and state of charge as the autopilot reports them."""
     chars = dict(zip(table.layout.labels, table.layout.chars, strict=False))
 
     def scaled(label: str) -> Column:
@@ -268,7 +268,7 @@ def _battery_columns(table: Table) -> tuple[Column, ...]:
 
 
 def _armed(timed: Sequence[_TimedTable]) -> _Change:
-    """Armed or not, by the records that say so."""
+    """Return armed or not, by the records that tell it."""
     parts = []
     for t in _tables_named(timed, "ARM"):
         if "ArmState" in t.table.numbers:
@@ -281,7 +281,7 @@ def _armed(timed: Sequence[_TimedTable]) -> _Change:
 
 
 def _cells(order: Order, instance: Order, time_s: Column, cells: Sequence[_TimedTable]) -> NDArray[np.float64] | None:
-    """Cells of the rows of the same instant [V]; 0 (none) and 65535 are no cells. None if the log tells none."""
+    """Return the cells [V] of the rows of the same instant, without 0 (none) and 65535; None if the log has none."""
     labels = [[label for label in t.table.layout.labels if _CELL.match(label)] for t in cells]
     if not any(labels):
         return None

@@ -22,13 +22,13 @@ Value = float | str
 
 @dataclass(slots=True)
 class _Lines:
-    """Lines of one layout as they come; mutable, and never leaves the reading of one file."""
+    """_Lines collects the lines of one layout while one file is read; it is mutable."""
 
     order: list[int] = field(default_factory=list)
     values: list[list[Value]] = field(default_factory=list)
 
     def add(self, place: int, values: list[Value]) -> None:
-        """One more line."""
+        """Add one more line."""
         self.order.append(place)
         self.values.append(values)
 
@@ -60,7 +60,7 @@ def read_dataflash_text(data: bytes) -> LogBuilder:
                 continue
             wanted.setdefault(layout, _Lines()).add(place, values)
         elif TELLING.match(layout.name):
-            # a message may hold commas; a damaged line of these costs no row and is not counted
+            # text may hold commas; such a damaged line costs no row and is not counted
             values = _values(layout, [*cells[1 : len(layout.labels)], ", ".join(cells[len(layout.labels) :])], True)
             if values is not None:
                 telling.setdefault(layout, _Lines()).add(place, values)
@@ -92,13 +92,13 @@ def _table(layout: RowLayout, lines: _Lines) -> Table:
 
 
 def _learn(cells: list[str], layouts: dict[str, RowLayout]) -> None:
-    """`FMT, type, length, name, format, label, label, ...`"""
+    """Learn a layout from `FMT, type, length, name, format, label, label, ...`"""
     if len(cells) >= 6 and cells[3]:
         layouts[cells[3]] = RowLayout(cells[3], cells[4], tuple(cells[5:]))
 
 
 def _values(layout: RowLayout, cells: list[str], whole: bool) -> list[Value] | None:
-    """The values of one line; None if the line is damaged.
+    """Return the values of one line; None if the line is damaged.
 
     A last line without its line end may be cut inside its last number, which is then unknown.
     """

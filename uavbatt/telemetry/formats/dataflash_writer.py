@@ -67,7 +67,7 @@ def write_dataflash(
 
 
 def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[tuple[float, bytes]]:
-    """BAT for every sample, ARM and EV where arming becomes known or changes, with their times [s]."""
+    """Yield BAT for every sample, ARM and EV where arming becomes known or changes, with their times [s]."""
     last_us, armed = 0, None
     for sample in samples:
         last_us = ascending_us(sample.time_s, last_us)

@@ -103,12 +103,12 @@ def first_words(data: bytes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str,
 def _whole(source: str, lines: Iterator[list[str]]) -> Iterator[list[str]]:
     try:
         yield from lines
-    except csv.Error as error:  # a cell without an end
+    except csv.Error as error:  # a quoted cell is not closed
         raise BadInput(source, "", f"a table, cannot be read: {error}") from None
 
 
 def _header(lines: Iterator[list[str]]) -> list[str]:
-    """The names of the columns; what comes next of `lines` is the first row."""
+    """Return the names of the columns; the next of `lines` is then the first row."""
     for cells in lines:
         names = [cell.strip() for cell in cells]
         if any(names) and not names[0].startswith("sep="):

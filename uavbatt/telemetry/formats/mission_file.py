@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from uavbatt.errors import BadInput, misread
+from uavbatt.files import read_bounded
 from uavbatt.navigation import NAN, Home, Mission
 from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.commands import Fields
@@ -73,26 +74,15 @@ class _Plan(msgspec.Struct):
 
 def read_mission(path: str | Path) -> PlannedFlight:
     """Read a mission file. Raises BadInput for a file that is none, or a mission that is not understood."""
-    data = _content(Path(path))
+    data = read_bounded(Path(path), LARGEST_BYTES, KIND)
     planned = _plan(path, data) if data.lstrip().startswith(b"{") else _waypoints(path, data)
     if planned.mission.reason:
         raise BadInput(path, "", f"a mission that is understood: {planned.mission.reason}")
     return planned
 
 
-def _content(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
-    if len(data) > LARGEST_BYTES:
-        raise BadInput(path, "", f"{KIND}, found a file of more than {LARGEST_BYTES // 1_000_000} MB")
-    return data
-
-
 def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
-    """`.waypoints`; a first item that is no waypoint is no home."""
+    """Return the flight of a `.waypoints` file; it has no home if its first item is no waypoint."""
     lines = data.decode("utf-8", errors="replace").splitlines()
     if not lines or not lines[0].startswith(_WPL):
         raise BadInput(path, "", f"{KIND}, found a file of another kind")
@@ -111,7 +101,7 @@ def _sea_m(fields: Fields) -> float:
 
 
 def _line(path: str | Path, number: int, line: str) -> Fields:
-    """One item: index, current, frame, command, four parameters, latitude, longitude, height, autocontinue."""
+    """Return one item: index, current, frame, command, four parameters, latitude, longitude, height, autocontinue."""
     columns = line.split()
     try:
         values = [float(column) for column in columns]
@@ -149,7 +139,7 @@ def _return_reason(rally: _RallyPoints | None) -> str:
 
 
 def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:
-    """The simple items of a plan in order, patterns as the items that they were made into."""
+    """Yield the simple items of a plan in order; a pattern is replaced by the items made of it."""
     for item in items:
         if item.type == "SimpleItem":
             yield item
@@ -161,7 +151,7 @@ def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:
 
 
 def _fields(path: str | Path, seq: int, item: _Item, seq_of: dict[int, int]) -> Fields:
-    """The fields of one item; a jump names its target by `doJumpId`."""
+    """Return the fields of one item; a jump names its target by `doJumpId`."""
     params = [NAN if v is None else float(v) for v in item.params]
     if len(params) != 7 or item.command < 0:
         raise BadInput(path, f"item {seq}", "a command with seven params")

@@ -62,7 +62,7 @@ def tlog_messages(route: FlownRoute) -> Iterator[tuple[float, Any]]:
 
 
 def _home_and_mission(route: FlownRoute) -> Iterator[Any]:
-    """Home, and the mission as a ground station downloads it."""
+    """Yield home, and the mission as a ground station downloads it."""
     home = route.home
     yield dialect.MAVLink_home_position_message(
         _e7(home.lat_deg), _e7(home.lon_deg), round(home.alt_m * 1000.0), 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0

@@ -29,7 +29,7 @@ from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.vehicle import ALONE_AFTER_S, LONGEST_ALONE_S
+from uavbatt.telemetry.vehicle import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -38,7 +38,7 @@ _MAKES = {3: "ArduPilot", fields.AUTOPILOT_PX4: "PX4"}
 
 
 class _Beats(NamedTuple):
-    """Heartbeats of the chosen vehicle: which of its frames they are, and what they say."""
+    """_Beats holds the heartbeats of the chosen vehicle: their places among its frames, and what they say."""
 
     place: NDArray[np.int64]
     armed: Mask
@@ -52,7 +52,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
     """
     log = LogBuilder(
         longest_step_s=math.inf if is_recording(data) else LEAP_S,
-        reboot_gap_s=CLOCK_GAP_S,  # its clock is the ground's
+        reboot_gap_s=CLOCK_GAP_S,  # its times are those of the ground station
         forecast_period_s=forecast_period_s(data),
     )
     found = frames(data)
@@ -61,13 +61,13 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
         return log
     chosen = _autopilot(source, found, log, system)
     of_source = found.at(found.source == chosen)
-    # the clock goes by the frames of the battery: one more message that is read shall move no row
+    # only battery frames set the clock, so that reading more kinds of messages moves no row
     own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if chosen != _NOBODY:
         log.identity = _identity(own, chosen, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
-    beats = _beats(own)
+    beats = _beats(own, time_s)
     _add_parameters(own, time_s, beats, log)
     _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
@@ -101,7 +101,7 @@ def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None
 
 
 def _of_system(name: str, candidates: list[int], system: int) -> list[int]:
-    """The candidates of a system; UsageError, with those that there are, when it has none."""
+    """Return the candidates of a system. Raises UsageError, with the systems that there are, if it has none."""
     own = [source for source in candidates if source >> 8 == system]
     if not own:
         there = ", ".join(str(number) for number in sorted({source >> 8 for source in candidates})) or "none"
@@ -124,11 +124,13 @@ def _identity(own: FrameTable, source: int, first_s: float) -> Identity:
     return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
 
 
-def _beats(own: FrameTable) -> _Beats:
+def _beats(own: FrameTable, time_s: Column) -> _Beats:
     place = own.places(fields.HEARTBEAT)
     payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
     is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
-    return _Beats(place, tlog_payloads.heartbeats(payloads, fields.is_armed), is_px4)
+    said = tlog_payloads.heartbeats(payloads, fields.is_armed)
+    is_soon = np.diff(time_s[place], prepend=-math.inf) <= BEATING_S  # as in flight: two heartbeats in a row disarm
+    return _Beats(place, said | (np.roll(said, 1) & is_soon), is_px4)
 
 
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
@@ -136,7 +138,7 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     statements = own.at(place)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
-    # Until a heartbeat says so it is no PX4, and not armed. An integer waits for the first one, as in flight.
+    # Before the first heartbeat the vehicle counts as disarmed and not as PX4; integers wait for it, as in flight.
     if len(beats.place):
         waits = (place < beats.place[0]) & tlog_payloads.are_integers(payloads)
         place = np.where(waits, beats.place[0], place)

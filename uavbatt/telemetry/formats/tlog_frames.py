@@ -41,9 +41,9 @@ _HEAD_BYTES = 65_536
 _NO_SEED = -1
 _WINDOW = 1 << 22  # bytes; checksums are worked out window by window, and the more frames at once the better
 _BLOCK = 64  # candidates
-_SEEDS = np.full(max(SEEDS) + 2, _NO_SEED, np.int64)  # by message; the last stands for all beyond
+_SEEDS = np.full(max(SEEDS) + 2, _NO_SEED, np.int64)  # by message number; the last entry is for all larger numbers
 _SEEDS[list(SEEDS)] = list(SEEDS.values())
-_MAY_BE_WANTED = np.isin(np.arange(256), [number & 0xFF for number in SEEDS])  # by the low byte
+_MAY_BE_WANTED = np.isin(np.arange(256), [number & 0xFF for number in SEEDS])  # by the low byte of the number
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 
@@ -53,9 +53,9 @@ class FrameTable:
     """FrameTable holds the wanted frames in file order, and what the whole file says of time and damage."""
 
     data: Bytes
-    start: Places  # of the stamp
+    start: Places  # place of the stamp
     payload: Places
-    length: NDArray[np.int64]  # of the payload, trailing zeros trimmed away by the sender
+    length: NDArray[np.int64]  # of the payload, from which the sender trims trailing zeros
     message_id: NDArray[np.int64]
     source: NDArray[np.int64]  # 256 * system + component
     first_s: float  # reception of the first and last frame of any kind; NaN without one
@@ -100,7 +100,7 @@ class FrameTable:
 
 
 class _Heads(NamedTuple):
-    """Candidates, whatever stands there, and what the heads of frames would say."""
+    """_Heads holds candidates for frames, and what their heads say if they are frames."""
 
     start: Places
     payload: Places
@@ -108,7 +108,7 @@ class _Heads(NamedTuple):
     message_id: NDArray[np.int64]
 
     def at(self, chosen: Any) -> _Heads:
-        """Some of the candidates."""
+        """Return some of the candidates."""
         return _Heads(*(column[chosen] for column in self))
 
 
@@ -171,7 +171,7 @@ def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
 
 
 def _candidates(data: Bytes, begin: int, end: int) -> tuple[Places, Places]:
-    """Every place from `begin` to `end` where a frame could begin that ends inside the file, and where it ends."""
+    """Return every place from `begin` to `end` where a frame could begin that fits into the file, and where it ends."""
     size = len(data)
 
     def is_marked(at: int, to: int) -> Mask:
@@ -194,7 +194,7 @@ def _candidates(data: Bytes, begin: int, end: int) -> tuple[Places, Places]:
 
 
 def _heads(data: Bytes, start: Places) -> _Heads:
-    """The heads of the candidates at these places."""
+    """Return the heads of the candidates at these places."""
     is_v1, length = data[_STAMP:][start] == _V1, data[_STAMP + 1 :][start].astype(np.int64)
     low, middle, high = (data[_HEAD - 3 + k :][start].astype(np.int64) for k in range(3))
     message_id = np.where(is_v1, data[_HEAD_V1 - 1 :][start], low | middle << 8 | high << 16)
@@ -202,8 +202,8 @@ def _heads(data: Bytes, start: Places) -> _Heads:
 
 
 def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
-    """Which of the candidates are of wanted messages, their heads, and whether their checksums are right."""
-    # few pass this: the low byte of the number says no to most; in version 1 it stands elsewhere
+    """Return which candidates are wanted messages, their heads, and if their checksums are right."""
+    # the low byte of the number excludes most candidates; in version 1 the number stands elsewhere
     chosen = np.flatnonzero(_MAY_BE_WANTED[data[_HEAD - 3 :][start]] | (data[_STAMP:][start] == _V1))
     heads = _heads(data, start[chosen])
     seeds = _SEEDS[np.minimum(heads.message_id, len(_SEEDS) - 1)]
@@ -221,7 +221,7 @@ def _is_sound(data: Bytes, heads: _Heads, seed: NDArray[np.int64]) -> Mask:
 
 
 def _vouch(data: Bytes, stop: Places, wanted: Mask, sound: Mask) -> Vouch:
-    """Inside the chain a wanted frame needs its checksum, any other one a mark where the next frame has it."""
+    """Return the check within a chain: a wanted frame needs its checksum, any other one a mark behind it."""
 
     def vouch(chosen: Places) -> Mask:
         mark = stop[chosen] + _STAMP
@@ -233,11 +233,11 @@ def _vouch(data: Bytes, stop: Places, wanted: Mask, sound: Mask) -> Vouch:
 
 
 def _judge(data: Bytes, start: Places, stop: Places, wanted: Mask, sound: Mask) -> Judge:
-    """Is one candidate a frame? Its checksum says so; a type that nobody knows counts if a frame may follow it."""
+    """Return the check of one candidate: its checksum decides; an unknown type counts if a frame may follow it."""
 
     @cache
     def block(number: int) -> list[bool | None]:
-        """Verdicts of the checksums of a block of candidates, None for unknown types: one by one is far slower."""
+        """Return the verdicts of a block of checksums, None for unknown types: one by one is far slower."""
         heads = _heads(data, start[number * _BLOCK : (number + 1) * _BLOCK])
         seeds = np.array([_seed(message_id) for message_id in heads.message_id.tolist()])
         is_sound = _is_sound(data, heads, seeds).tolist()
@@ -281,7 +281,7 @@ def _frames(data: Bytes, kept: list[_Heads], first_us: int, last_us: int, skippe
 
 
 def _seed(message_id: int) -> int:
-    """The checksum's seed of any message, _NO_SEED if the dialect does not know it."""
+    """Return the checksum's seed of a message; _NO_SEED if the dialect does not know it."""
     if message_id in SEEDS:
         return SEEDS[message_id]
     return _dialect().get(message_id, _NO_SEED)
@@ -289,7 +289,7 @@ def _seed(message_id: int) -> int:
 
 @cache
 def _dialect() -> dict[int, int]:
-    """Seeds of all messages. Loaded only where a chain is broken: it is bigger than all the rest."""
+    """Return the seeds of all messages. They are big, and are loaded only if a chain is broken."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     return {number: int(kind.crc_extra) for number, kind in ardupilotmega.mavlink_map.items()}

@@ -31,7 +31,7 @@ BATTERY_STATUS = np.dtype(
     }
 )
 AUTOPILOT_VERSION = np.dtype({"names": ["uid", "flight_sw"], "formats": ["<u8", "<u4"], "offsets": [8, 16]})
-_SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
+_SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest in the next entry
 
 
 class BatteryMessages(NamedTuple):
@@ -110,7 +110,7 @@ def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
 
 def _battery_status(messages: Any) -> BatteryMessages:
     mV, ext_mV = messages["voltages"].astype(np.int64), messages["voltages_ext"].astype(np.int64)
-    # zeros are fillers of careless senders: a cell at 0 V does not fly
+    # some senders fill unused cells with 0: no cell is at 0 V in flight
     filled = (mV != 0) & (mV != 65535)
     is_split = mV[:, 0] == _SPLIT_MV
     is_known = filled.any(axis=1)

@@ -28,7 +28,7 @@ class Layout(NamedTuple):
 
 
 def _layout(**fields: tuple[str, int]) -> Layout:
-    """A layout from the type and the offset of each field."""
+    """Return a layout made from the type and the offset of each field."""
     names = list(fields)
     record = np.dtype(
         {"names": names, "formats": [f for f, _ in fields.values()], "offsets": [o for _, o in fields.values()]}
@@ -37,7 +37,7 @@ def _layout(**fields: tuple[str, int]) -> Layout:
 
 
 def _item(place: str) -> Layout:
-    """MISSION_ITEM and MISSION_ITEM_INT: they differ in how the place is written."""
+    """Return the layout of MISSION_ITEM or MISSION_ITEM_INT, which write the place differently."""
     return _layout(
         param1=("<f4", 0), param2=("<f4", 4), param3=("<f4", 8), param4=("<f4", 12), x=(place, 16), y=(place, 20),
         z=("<f4", 24), seq=("<u2", 28), command=("<u2", 30), target_system=("u1", 32), target_component=("u1", 33),
@@ -75,7 +75,7 @@ LAYOUTS = {
 }  # fmt: skip
 _ALL_COMPONENTS = 0
 _MICROSECOND_S = 1e-6
-_LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps further is damaged
+_LONGEST_STEP_S = 60.0  # stamps have no checksum: one that leaps further is damaged
 
 
 class TlogClock(NamedTuple):
@@ -92,13 +92,13 @@ class TlogClock(NamedTuple):
     def times_s(self, frames: FrameTable) -> list[float]:
         """Return the times of other frames [s].
 
-        They are counted on from the clock's frame before each, by their stamps if they can be.
+        Each counts from the clock's frame before it, by the stamps if these are sound.
         """
         if not len(self.start):
             return [0.0] * len(frames.start)
         last = np.maximum(latest_before(frames.start, self.start), 0)
         since_s = np.clip(frames.time_s - self.stamp_s[last], 0.0, _LONGEST_STEP_S)
-        # what stands behind a row of the battery was not known at that row, even with the same stamp
+        # a message behind a battery row was not known at that row, even with the same stamp
         row = latest_before(frames.start, self.start[self.is_row])
         known_s = np.append(self.time_s[self.is_row] + _MICROSECOND_S, 0.0)[row]
         times: list[float] = np.round(np.maximum(self.time_s[last] + since_s, known_s), 6).tolist()
@@ -121,7 +121,7 @@ def navigation(
 
 
 def _of_autopilot(own: FrameTable, clock: TlogClock, listener: NavigationListener) -> list[tuple[int, Event]]:
-    """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
+    """Return the autopilot's messages with their places in the file; of heartbeats only those that bring a change."""
     told = []
     for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
         frames = own.of(message_id)
@@ -146,7 +146,7 @@ def _of_others(
 
 
 def _decoded_frames(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
-    """Place in the file, time [s] and message of each frame."""
+    """Yield place in the file, time [s] and message of each frame."""
     return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
 
 
@@ -162,7 +162,7 @@ def _records(frames: FrameTable, layout: Layout) -> Any:
 
 
 def _changes(beats: FrameTable) -> Mask:
-    """Which heartbeats say another mode than the one before."""
+    """Mark the heartbeats with another mode than the one before."""
     if not len(beats.start):
         return np.zeros(0, np.bool_)
     said = _records(beats, LAYOUTS[messages.HEARTBEAT])

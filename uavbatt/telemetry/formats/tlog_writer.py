@@ -95,7 +95,7 @@ def write_tlog(
 def _sample_messages(
     samples: Iterable[Sample], battery_id: int, mode_at: Callable[[float], int]
 ) -> Iterator[tuple[float, Any]]:
-    """The messages of every sample in order with their times [s], heartbeats between them."""
+    """Yield the messages of every sample in order with their times [s], and heartbeats between them."""
     last_us, beat_us, armed = 0, -math.inf, None
     for sample in samples:
         last_us = ascending_us(sample.time_s, last_us)

@@ -34,7 +34,7 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
     for name, value in ulog.initial_parameters.items():
         _add_parameter(log, 0.0, name, value)
     for time_us, _, what in sorted(_events(ulog), key=lambda event: event[:2]):
-        # PX4 logs the last sample from before the start too: it counts as the start.
+        # PX4 also logs the last sample from before the start: it counts as at the start.
         time_s = log.time_s(max(time_us, ulog.start_timestamp) / _US)
         if isinstance(what, bool):
             log.armed = what
@@ -56,11 +56,11 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
 
 
 class _EndlessReading(Exception):
-    """pyulog reads for ever: after a short read at the end it steps back by the length that it asked for."""
+    """_EndlessReading ends pyulog's endless loop: after a short read at the end it steps back by the asked length."""
 
 
 class _BoundedFile(io.BytesIO):
-    """A file in memory that ends pyulog's circling at a cut definitions section."""
+    """_BoundedFile is a file in memory that ends pyulog's endless loop at a cut definitions section."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -86,7 +86,7 @@ def _open(source: str, data: bytes) -> Any:
 
 
 def _identity(ulog: Any) -> Identity:
-    """Hardware and firmware by the log's information messages, the start by the first fix of the GPS."""
+    """Return hardware and firmware by the log's information messages, and the start by the first GPS fix."""
     said = ulog.msg_info_dict
     number = said.get("ver_sw_release")
     starts = [
@@ -104,7 +104,7 @@ def _identity(ulog: Any) -> Identity:
 
 
 def _events(ulog: Any) -> Iterator[Event]:
-    """Parameter changes, arming and battery rows with their times, each kind in its own order."""
+    """Yield parameter changes, arming and battery rows with their times, each kind in its own order."""
     for time_us, name, value in ulog.changed_parameters:
         yield int(time_us), 0, (name, value)
     for topic in ulog.data_list:
@@ -152,6 +152,6 @@ def _sample(row: dict[str, float], time_s: float, armed: bool | None) -> Sample:
 
 
 def _cells(row: dict[str, float]) -> tuple[float, ...]:
-    """Measured cell voltages [V]; exactly equal ones are the pack's voltage divided by the autopilot."""
+    """Return the measured cell voltages [V]; if all are equal, the autopilot has only divided the pack's voltage."""
     cells = [v for name, v in row.items() if name.startswith("voltage_cell_v[") and v > 0]
     return tuple(cells) if len(set(cells)) > 1 else ()

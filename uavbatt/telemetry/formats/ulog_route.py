@@ -68,19 +68,19 @@ def _events(name: str, data: Any, topics: dict[str, Any], ulog: Any, builder: Na
 
 
 def _time_s(data: Any, ulog: Any) -> Column:
-    """Times from the log's start [s]; what PX4 logs from before it counts as its start."""
+    """Return times from the log's start [s]; what PX4 logged before the start counts as at the start."""
     since_us: Column = np.maximum(data["timestamp"].astype(np.float64) - ulog.start_timestamp, 0.0)
     return np.round(since_us / _US, 6)
 
 
 def _rows(time_s: Column, data: Any, *names: str) -> Iterator[tuple[float, ...]]:
-    """Time and the named values of each row; nothing where the log's topic has no such field."""
+    """Yield time and the named values of each row; nothing if the log's topic lacks a field."""
     if all(name in data for name in names):
         yield from zip(time_s.tolist(), *(data[name].astype(np.float64).tolist() for name in names), strict=True)
 
 
 def _modes(time_s: Column, data: Any, builder: NavigationBuilder) -> Iterator[Event]:
-    """Modes of a multicopter; those of an aircraft that also flies on wings are unknown."""
+    """Yield the modes of a multicopter; the mode of an aircraft with wings is unknown."""
     is_vtol = data.get("is_vtol", np.zeros(len(time_s)))
     for (t, state, kind), has_wings in zip(_rows(time_s, data, "nav_state", "vehicle_type"), is_vtol, strict=False):
         is_multicopter = not has_wings and kind == _ROTARY_WING
@@ -95,7 +95,7 @@ def _winds(time_s: Column, data: Any, builder: NavigationBuilder) -> Iterator[Ev
 
 
 def _positions(time_s: Column, data: Any, local: Any, ulog: Any, builder: NavigationBuilder) -> Iterator[Event]:
-    """Positions with the last velocity before each."""
+    """Yield positions with the last velocity before each."""
     chosen = one_each(time_s, POSITION_STEP_S)
     velocity = _velocities(time_s[chosen], local, ulog)
     rows = list(_rows(time_s, data, "lat", "lon", "alt"))
@@ -106,14 +106,14 @@ def _positions(time_s: Column, data: Any, local: Any, ulog: Any, builder: Naviga
 
 def _above_home(time_s: float, builder: NavigationBuilder, lat_deg: float, lon_deg: float, sea_m: float,
                 north_ms: float, east_ms: float, up_ms: float) -> None:  # fmt: skip
-    """A position by its height above sea; without a home there is no height to tell."""
+    """Take a position by its height above sea; without a home its height above home is not known."""
     home = builder.now.home
     if home is not None:
         builder.position(time_s, lat_deg, lon_deg, sea_m - home.alt_m, north_ms, east_ms, up_ms)
 
 
 def _velocities(time_s: Column, local: Any, ulog: Any) -> Any:
-    """Velocity north, east and up [m/s] at each time, a row each; NaN where the last is old."""
+    """Return the velocity north, east and up [m/s] at each time, a row each; NaN if the last one is old."""
     found = np.full((len(time_s), 3), np.nan)
     if local is None or not all(name in local for name in ("vx", "vy", "vz")):
         return found

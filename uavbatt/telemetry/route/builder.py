@@ -14,7 +14,7 @@ from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Po
 from uavbatt.telemetry.route import settings
 
 POSITION_STEP_S = 0.2  # positions that come faster say nothing more of minutes to come
-AIRSPEED_AGE_S = 3.0  # an older airspeed is not the present one
+AIRSPEED_AGE_S = 3.0  # an older airspeed is not used
 
 
 class NavigationBuilder:

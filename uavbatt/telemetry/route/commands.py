@@ -165,7 +165,7 @@ def _radius_m(said: float) -> float:
 
 
 def _speed(fields: Fields) -> MissionItem:
-    """DO_CHANGE_SPEED: kind, speed [m/s]; -1 changes nothing, -2 is the vehicle's own speed again."""
+    """Return the item of DO_CHANGE_SPEED: a speed of -1 changes nothing, -2 is the vehicle's own speed again."""
     kind = SPEED_KINDS.get(int(fields.param1)) if math.isfinite(fields.param1) else None
     if kind is None or fields.param2 > _FASTEST_MS:
         return _unknown(fields, f"a speed of {fields.param2:g} m/s of kind {fields.param1:g}")
@@ -176,7 +176,7 @@ def _speed(fields: Fields) -> MissionItem:
 
 
 def _jump(fields: Fields) -> MissionItem:
-    """DO_JUMP: item, how often (-1 without end)."""
+    """Return the item of DO_JUMP: its target, and how often (-1: without end)."""
     if not (math.isfinite(fields.param1) and math.isfinite(fields.param2)) or fields.param1 < 0.0:
         return _unknown(fields, f"a jump to item {fields.param1:g}, {fields.param2:g} times")
     repeats = max(int(fields.param2), -1)
@@ -184,7 +184,7 @@ def _jump(fields: Fields) -> MissionItem:
 
 
 def _delay(fields: Fields) -> MissionItem:
-    """NAV_DELAY: seconds, or a time of day when they are -1."""
+    """Return the item of NAV_DELAY in seconds; -1 seconds mean a time of day, which is not understood."""
     if not 0.0 <= fields.param1 <= _LONGEST_S:
         return _unknown(fields, "waiting for a time of day is not understood")
     return MissionItem(fields.seq, Action.DELAY, hold_s=fields.param1, command=fields.command)

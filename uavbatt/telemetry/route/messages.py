@@ -155,7 +155,7 @@ class NavigationListener:
         if known is None or known.reason or self.transfer.is_open:
             return
         is_changed = mission_id and self._mission_id and mission_id != self._mission_id
-        lengths = (len(known.items) - known.has_home_item, len(known.items))  # not all leave out home, as they should
+        lengths = (len(known.items) - known.has_home_item, len(known.items))  # some programs count home, some do not
         self._mission_id = mission_id or self._mission_id
         if is_changed or total not in (*_NO_TOTAL, *lengths):
             self._outdate(time_s)
@@ -198,7 +198,7 @@ class NavigationListener:
 
 
 def _fields(message_id: int, message: Any) -> Fields:
-    """The fields of MISSION_ITEM (degrees) or MISSION_ITEM_INT (1e-7 degrees)."""
+    """Return the fields of MISSION_ITEM (degrees) or MISSION_ITEM_INT (1e-7 degrees)."""
     lat_deg, lon_deg = float(message.x), float(message.y)
     if message_id == MISSION_ITEM_INT:
         lat_deg, lon_deg = (NAN if v == _UNKNOWN_INT else v / _E7 for v in (message.x, message.y))

@@ -57,7 +57,7 @@ def return_settings(known: Mapping[str, float]) -> ReturnSettings:
 
 
 def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
-    """The first of the named parameters that is known, in SI; NaN without one."""
+    """Return the first of the named parameters that is known, in SI; NaN if none is known."""
     return next((known[name] * factor for name, factor in names if math.isfinite(known.get(name, NAN))), NAN)
 
 
@@ -67,12 +67,12 @@ def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) 
 
 
 def _hold_s(known: Mapping[str, float]) -> float:
-    """Seconds above home [s]; PX4's -1 (for ever) is said by `return_final_m`."""
+    """Return the wait above home [s]; PX4's -1 (for ever) is told by `return_final_m`."""
     return max(_first(known, _RETURN_HOLD), 0.0) if math.isfinite(_first(known, _RETURN_HOLD)) else NAN
 
 
 def _final_m(known: Mapping[str, float]) -> float:
-    """Height at which a return ends [m]; 0 lands."""
+    """Return the height at which a return ends [m]; 0: it lands."""
     if known.get(_PX4_LAND_DELAY, 0.0) < 0.0:
         return known.get(_PX4_DESCEND_ALT, NAN)
     return 0.0 if _PX4_RETURN_ALT in known else _first(known, _RETURN_FINAL)

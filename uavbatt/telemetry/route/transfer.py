@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from uavbatt.navigation import Mission, MissionItem
 from uavbatt.telemetry.route import commands
 
-TRANSFER_SILENT_S = 10.0  # a transfer without a word for so long is over; autopilots give up after 8 s
+TRANSFER_SILENT_S = 10.0  # a transfer that is silent for so long is over; autopilots give up after 8 s
 ACCEPTED = 0
 MOST_ITEMS = 5000
 

@@ -32,8 +32,8 @@ from uavbatt.validation.gating.heldout import HeldOut
 
 LEVEL = 0.05
 ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
-# What is assumed where a data set states nothing: the specification of a battery tester (a limit, so rectangular),
-# a thermocouple, a hand with a watch.
+# Assumed if a data set states nothing: the specification of a battery tester (a limit, so rectangular), a thermocouple,
+# readings by hand with a watch.
 ASSUMED_CALIBRATION = 0.001  # of the reading, ±
 ASSUMED_TEMPERATURE_C = 0.5
 ASSUMED_READING_S = 5.0
@@ -42,7 +42,7 @@ HAND_READ_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A row is one source of uncertainty: its standard uncertainty `u` per instant in the budget's unit, its GUM type.
+    """A BudgetRow is one source of uncertainty: standard uncertainty `u` per instant in the budget's unit, GUM type.
 
     `how` says in words how it was obtained.
     """
@@ -55,7 +55,7 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The rows of one claim add up to the uncertainty of its bias at `at` (instants [s], voltages [V]); all in `unit`.
+    """Budget adds rows up to the uncertainty of a claim's bias at `at` (instants [s], voltages [V]); all in `unit`.
 
     `combined` is the standard uncertainty with `df` degrees of freedom, `factors` its coverage at each instant and
     `coverage` the largest of them, `expanded` the half width that the gate adds to the bias, `guard` 1.645·u_B.

@@ -30,7 +30,7 @@ from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
 STEP_S = 10.0
-MISFIT_SD_V = 0.08  # what such a model leaves: weighs the readings against the priors
+MISFIT_SD_V = 0.08  # usual misfit of such a model, which weighs readings against priors
 COLD_C = -20.0
 EVALUATIONS = 30
 FRESH, START_SPREAD, SEED = 10, 0.6, 5725
@@ -41,7 +41,7 @@ OCV_V = dense(prior.OCV_SOC, prior.OCV_V)
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A variant is one of the models to compare, told by the terms that are on."""
+    """A Variant is one of the models to compare, named by its terms that are on."""
 
     name: str
     self_heating: bool

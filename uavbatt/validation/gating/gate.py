@@ -37,7 +37,7 @@ Method = Literal["iso", "paper"]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The flight-safety limits are declared before any data are seen; volts for a 3S pack, scaled by cells.
+    """Limits holds the flight-safety limits, declared before any data are seen; volts for a 3S pack, scaled by cells.
 
     `precision_A_r`, `precision_A_R`: how well s_r and s_R must be known, relative, 95 % (A_r, A_R of ISO 5725-1).
     """
@@ -187,7 +187,7 @@ def _crossings(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
 
 
 def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Uncertainty) -> Claim:
-    """A model that stays above a voltage to the end of a record that falls through it is late by at least the rest."""
+    """Make the claim about a crossing time; a model that never falls through is late by the rest of the record."""
     at = np.array([float(np.mean(levels_V))])
     runs = [c for c in held.runs() if np.isfinite(c.measured_V).all()]
     measured = np.array([_crossings(c.time_s, c.measured_V, levels_V) for c in runs]).reshape(-1, levels_V.size)
@@ -209,14 +209,14 @@ def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Unc
 
 
 def _by_occasion(runs: list[Curve], values: Array, kept: NDArray[np.bool_]) -> Array:
-    """Means over the samples of each occasion, [occasion, 1], in run order."""
+    """Return means over the samples of each occasion, [occasion, 1], in run order."""
     occasions = sorted({c.occasion for c, k in zip(runs, kept, strict=True) if k})
     of = np.array([c.occasion for c in runs])
     return np.array([[float(np.mean(values[kept & (of == o)]))] for o in occasions]).reshape(-1, 1)
 
 
 def _slope(runs: list[Curve], levels_V: Array) -> float:
-    """Median fall of the records at the middle of `levels_V` [V/s], for turning volts into seconds."""
+    """Return the median fall of the records at the middle of `levels_V` [V/s], which turns volts into seconds."""
     half = max(float(np.ptp(levels_V)) / 2.0, 0.02 * float(np.mean(levels_V)))
     middle = float(np.mean(levels_V))
     falls = []

@@ -39,7 +39,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutRun:
-    """A run at another ambient temperature is predicted by a fit without it; [s], [V]."""
+    """A HeldOutRun is a run at another ambient temperature, predicted by a fit without it; [s], [V]."""
 
     ambient_C: float
     sample: str

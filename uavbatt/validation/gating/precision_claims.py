@@ -84,7 +84,7 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
 
 
 def _random_samples(table: Array) -> tuple[Array, Array]:
-    """(standard uncertainty of the mean, its degrees of freedom) per level, samples and occasions random."""
+    """Return per level the standard uncertainty of the mean and its df, with samples and occasions random."""
     o, k, levels = table.shape
     u, df = np.empty(levels), np.empty(levels)
     for i in range(levels):

@@ -22,7 +22,7 @@ TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold 
 
 @dataclass(frozen=True, slots=True)
 class VariantOutcome:
-    """One variant is fitted in one scope ("cold" or "all"): RMSE [V] per group and per test, fitted and held out.
+    """VariantOutcome holds a variant in one scope ("cold" or "all"): RMSE [V] per group and test, fitted and held out.
 
     `rise_V` is the model's change from minute 1 to 3 at each test: the recovery by its own heat.
     """

@@ -127,7 +127,7 @@ def _cold(tests: OneTimeTests) -> OneTimeTests:
 
 
 def _groups(tests: OneTimeTests) -> dict[str, tuple[float, float]]:
-    """Temperature ranges: the cold, then what is left of each series; and all."""
+    """Return the temperature ranges: the cold, the rest of each series, and all."""
     out, T = {}, tests.ambient_C
     for rows in (T <= COLD_C, *((tests.series == k) & (T > COLD_C) for k in range(int(tests.series.max()) + 1))):
         if rows.any():
@@ -143,7 +143,7 @@ def _rise(time_s: Array, voltage_V: Array) -> Array:
 
 
 def _variants(scope: str, tests: OneTimeTests) -> list[Variant]:
-    """The models to compare, what a model contains before itself; none for fewer than three tests."""
+    """Return the models to compare, the simpler ones first; none for fewer than three tests."""
     if tests.ambient_C.size < 3:
         return []
     several = len(set(tests.series.tolist())) > 1
@@ -156,7 +156,7 @@ def _variants(scope: str, tests: OneTimeTests) -> list[Variant]:
 
 
 def _fresh_starts(variant: Variant) -> int:
-    """Starts of the optimiser besides those from the smaller models."""
+    """Return the number of the optimiser's starts besides those from the simpler models."""
     return cold_model.FRESH // 2 if variant.self_heating or variant.steeper_cold else cold_model.FRESH
 
 

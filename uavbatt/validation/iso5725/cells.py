@@ -23,7 +23,7 @@ LEAST_SAMPLES = 3  # fewer say nothing of reproducibility
 
 
 class BadCells(UavbattError, ValueError):
-    """The cells hold no results that can be used: they are empty, not numbers, or of the wrong shape."""
+    """BadCells says that cells hold no usable results: they are empty, not numbers, or of the wrong shape."""
 
 
 @dataclass(frozen=True, slots=True)

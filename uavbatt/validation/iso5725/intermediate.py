@@ -25,7 +25,7 @@ from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, satterthwait
 
 @dataclass(frozen=True, slots=True)
 class Nested:
-    """The spread of a nested design divides into laboratory (0), nested factor (1) and repeatability (r).
+    """Nested holds the spread of a nested design: laboratory (0), nested factor (1) and repeatability (r).
 
     The SDs are in the unit of the results.
     s_I² = s_r² + s_1², s_R² = s_I² + s_0²; `raw` are the variances s_0², s_1², s_r² before 0 replaces negatives.
@@ -73,7 +73,7 @@ class Crossed:
 
 
 def _table(values: ArrayLike, shape: str, *sizes: int | None) -> tuple[Array, float]:
-    """The table less its first value, and that value."""
+    """Return the table less its first value, and that value."""
     try:
         table = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -167,13 +167,13 @@ def crossed(table: ArrayLike) -> Crossed:
 
 
 def _without_dust(raw: tuple[float, float, float], ms_e: float) -> tuple[float, float, float]:
-    """Differences of equal mean squares are 0, not -1e-21."""
+    """Return differences of equal mean squares as 0, not as -1e-21."""
     a, b, e = (0.0 if abs(v) < 1e-9 * ms_e else v for v in raw)
     return a, b, e
 
 
 def _crossed_mean_squares(y: Array) -> tuple[float, tuple[float, float, float]]:
-    """Mean and mean squares of occasion, sample, residual (NaN where there are no degrees of freedom)."""
+    """Return mean and mean squares of occasion, sample, residual (NaN if there are no degrees of freedom)."""
     o, k = y.shape
     d = y - y[0, 0]
     rows, columns, grand = d.mean(axis=1), d.mean(axis=0), float(d.mean())

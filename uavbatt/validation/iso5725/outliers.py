@@ -27,7 +27,7 @@ Verdict = Literal["ok", "straggler", "outlier"]
 
 @dataclass(frozen=True, slots=True)
 class Cochran:
-    """Cochran's statistic is the largest variance over the sum of variances.
+    """Cochran holds Cochran's statistic, the largest variance over the sum of variances.
 
     `index` is the cell with the largest, `p` the number of cells compared, `n` the results per cell that are assumed.
     """
@@ -44,7 +44,7 @@ class Cochran:
 
 @dataclass(frozen=True, slots=True)
 class Grubbs:
-    """Grubbs' statistics are the distances of the largest and the smallest value from the mean, in SDs."""
+    """Grubbs holds the distances of the largest and the smallest value from the mean, in SDs."""
 
     statistic_high: float
     statistic_low: float
@@ -58,7 +58,7 @@ class Grubbs:
 
 @dataclass(frozen=True, slots=True)
 class DoubleGrubbs:
-    """The statistics are sums of squares without the two largest (smallest) values over the whole: small = outlying.
+    """DoubleGrubbs holds the sum of squares without the two largest (smallest) values over the whole: small = outlying.
 
     The critical values are NaN and the verdicts None where they are not tabulated (p > 40).
     """
@@ -75,7 +75,7 @@ class DoubleGrubbs:
 
 @dataclass(frozen=True, slots=True)
 class Mandel:
-    """Mandel's h tells how consistent the cell means are, k the cell SDs; NaN = not defined."""
+    """Mandel holds h, the consistency of the cell means, and k, that of the cell SDs; NaN = not defined."""
 
     h: Array
     k: Array

@@ -103,7 +103,7 @@ def precision_of(summary: Summary, method: Method = "anova") -> Precision:
 
 
 def _grand_mean_offset(summary: Summary) -> float:
-    """m = Σn_iȳ_i/Σn_i, less the reference."""
+    """Return m = Σn_iȳ_i/Σn_i, less the reference."""
     return math.fsum(summary.counts * summary.offsets) / float(summary.counts.sum())
 
 

@@ -20,7 +20,7 @@ DRAWS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """The spread of curves divides into covariances [level, level] of occasion, sample and residual.
+    """Components holds the spread of curves as covariances [level, level] of occasion, sample and residual.
 
     `occasions` and `samples` are the numbers of each that were tested.
     """
@@ -104,7 +104,7 @@ def new_curve_scores(
 
 
 def _variance(y: Array, with_samples: bool) -> Array:
-    """s_I² (or s_R²) per draw and level of `y[draw, occasion, sample, level]`."""
+    """Return s_I² (or s_R²) per draw and level of `y[draw, occasion, sample, level]`."""
     _, o, k, _ = y.shape
     rows, columns, grand = y.mean(axis=2), y.mean(axis=1), y.mean(axis=(1, 2))
     ms_o: Array = k * ((rows - grand[:, None]) ** 2).sum(axis=1) / (o - 1)
@@ -120,7 +120,7 @@ def _variance(y: Array, with_samples: bool) -> Array:
 
 
 def _ratio(gap: Array, sd: Array) -> Array:
-    """gap/sd, 0 where both vanish (a level without spread holds everything)."""
+    """Return gap/sd, 0 where both are zero (a level without spread holds everything)."""
     tiny = 1e-12 * max(float(sd.max(initial=0.0)), 1e-300)
     ratio: Array = np.where(sd > tiny, gap / np.maximum(sd, tiny), 0.0)
     return ratio

@@ -84,7 +84,7 @@ class SharedTable:
 
 @dataclass(frozen=True, slots=True)
 class LeaveOneOut:
-    """Each occasion is judged by the corridor of the others: `inside[occasion, sample]` at all instants at once.
+    """LeaveOneOut judges each occasion by the corridor of the others: `inside[occasion, sample]` at all instants.
 
     `share_one` and `share_all` are the shares of readings and of whole curves that lie inside.
     """
@@ -209,7 +209,7 @@ def from_table(
 
 
 def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
-    """Satterthwaite degrees of freedom of s² per level."""
+    """Return the Satterthwaite degrees of freedom of s² per level."""
     o, k = parts.occasions, parts.samples
     if k == 1:
         return np.full(len(parts.occasion), o - 1.0)

@@ -25,7 +25,7 @@ EXACT_UP_TO = 60
 
 @dataclass(frozen=True, slots=True)
 class PaperDrift:
-    """The study compares |d̄|/σ (`ratio`) with 0.2; `significant` is its verdict."""
+    """PaperDrift compares |d̄|/σ (`ratio`) with 0.2, as the study does; `significant` is its verdict."""
 
     ratio: float
     significant: bool
@@ -33,7 +33,7 @@ class PaperDrift:
 
 @dataclass(frozen=True, slots=True)
 class Abbe:
-    """The statistic q²/s² is 1 for independent results and small for drift; the permutation p-value is one-sided."""
+    """Abbe holds q²/s², 1 for independent results and small for drift; the permutation p-value is one-sided."""
 
     statistic: float
     p_value: float
@@ -41,7 +41,7 @@ class Abbe:
 
 @dataclass(frozen=True, slots=True)
 class MannKendall:
-    """S is the number of rises less the number of falls over all pairs; the p-value is two-sided."""
+    """MannKendall holds S, the number of rises less the number of falls over all pairs; the p-value is two-sided."""
 
     S: int
     p_value: float
@@ -60,7 +60,7 @@ class Slope:
 
 @dataclass(frozen=True, slots=True)
 class StepTest:
-    """The most likely single step comes after `after` runs, where the mean changes by `size`.
+    """StepTest says that the most likely single step comes after `after` runs, where the mean changes by `size`.
 
     `statistic` is the share of the sum of squares that the step explains.
     `p_value` allows for the choice of the place (permutation); `p_at_place` is Welch's test as if the place
@@ -145,7 +145,7 @@ def mann_kendall(results: ArrayLike) -> MannKendall:
 
 
 def _exact_p(S: int, ties: list[int]) -> float:
-    """P(|S| >= |S observed|): inversions of a multiset, counted by products of Gaussian binomials."""
+    """Return P(|S| >= |S observed|), by counting inversions of a multiset with products of Gaussian binomials."""
     counts, placed = [1], 0
     for t in ties:
         for i in range(1, t + 1):  # times (1-q^(placed+i)) / (1-q^i)

@@ -75,12 +75,12 @@ def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
                    "correlation": found.correlation, "expected": found.expected_identical}  # fmt: skip
         detail = (
             f"{found.identical} of {found.compared} readings are identical; pairing the runs at random gives "
-            f"{found.expected_identical:.1f} on the average and {found.most_identical} at most (p = "
-            f"{found.p_identical:.1g}). The departures from the mean curve move together, correlation "
+            f"{found.expected_identical:.1f} on average and {found.most_identical} at most (p = "
+            f"{found.p_identical:.1g}). The deviations from the mean curve are correlated, r = "
             f"{found.correlation:.2f} (p = {found.p_correlation:.1g})."
         )
         if found.dependent:
-            title = f"The {names} are not independent: the second tells almost nothing that the first did not"
+            title = f"The {names} are not independent: the second adds almost no information"
             yield Finding("dependent_samples", title, detail, "serious", numbers)
         elif found.dependent is None:
             title = f"Too few runs to tell whether the {names} are independent"
@@ -92,7 +92,7 @@ def _few_samples(levels: Levels) -> Iterator[Finding]:
     if k < LEAST_SAMPLES:
         title = "How much one pack differs from another is not known"
         tested = f"{k} sample{'s were' if k > 1 else ' was'} tested repeatedly"
-        detail = f"{tested} at {levels.ambient_C:g} °C; ISO 5725 needs three at the least, eight to be useful."
+        detail = f"{tested} at {levels.ambient_C:g} °C; ISO 5725 needs at least three, and eight to be useful."
         yield Finding("reproducibility_unknown", title, detail, "warning", {"samples": k})
 
 
@@ -107,10 +107,11 @@ def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
     detail = (
         f"Judged by the corridor of all other occasions, {held} of {total} curves stay inside at every instant "
         f"(out: {', '.join(out[:8])}{' and more' if len(out) > 8 else ''}); simulated {band.covers_all:.0%}. At one "
-        f"instant alone {band.covers_one:.0%}. To hold 95 % throughout takes ±{band.simultaneous_factor:.2f} SD."
+        f"instant alone {band.covers_one:.0%}. ±{band.simultaneous_factor:.2f} SD would hold 95 % from start to end."
     )
     numbers = {"held": held, "total": total, "share": left.share_all, "simulated": band.covers_all}
-    # true of every band that holds 95 % at one instant: the reader must know it, but it is no fault of the tests
+    # every band that holds 95 % at one instant has this property: the reader must know it, but the tests are not at
+    # fault
     yield Finding("corridor_coverage", title, detail, "note", numbers)
 
 
@@ -148,10 +149,10 @@ def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
         bad = [p for p in pooled if not p.may_pool]
         if bad:
             by_t, by_F = [p for p in bad if p.t > p.t_critical], [p for p in bad if p.t <= p.t_critical]
-            reasons = [f"Student's t passes its limit at {_minutes(p.time_s for p in by_t)}"] * bool(by_t)
+            reasons = [f"Student's t exceeds its limit at {_minutes(p.time_s for p in by_t)}"] * bool(by_t)
             reasons += [f"the variances differ too much (F) at {_minutes(p.time_s for p in by_F)}"] * bool(by_F)
             rebuilt = " (figures of sample 2 rebuilt from the printed means and variances)" * bool(replay.agreements)
-            title = (f"The {NAMES[quantity]} of the samples may not be thrown together at "
+            title = (f"The {NAMES[quantity]} of the samples may not be pooled at "
                      f"{_minutes(p.time_s for p in bad)}, by the study's own rules")  # fmt: skip
             numbers = {f"minute_{p.time_s / 60:g}": p.t for p in bad}
             detail = "; ".join(reasons) + rebuilt * (quantity == "surface_C") + "."
@@ -165,7 +166,7 @@ def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
 def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
     claim = replay.fisher
     if claim is not None and not claim.reproducible:
-        title = f"The printed F_emp = {claim.printed:g} cannot be got from the tables"
+        title = f"The printed F_emp = {claim.printed:g} does not follow from the tables"
         sd, variance = claim.at_first_instant
         detail = (
             f"At 0 min the ratio of SDs is {sd:.3f} (as printed) and of variances {variance:.3f}; the nearest of all "
@@ -176,7 +177,9 @@ def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
     slips = [s for a in replay.agreements for s in a.slips]
     if slips:
         score = ", ".join(f"{a.table} {a.agree}/{a.total}" for a in replay.agreements)
-        title = f"{len(slips)} printed figure{'s' * (len(slips) > 1)} of the study's tables are not what its data give"
+        title = (
+            f"{len(slips)} printed figure{'s' * (len(slips) > 1)} of the study's tables differ from what its data give"
+        )
         yield Finding("printed_slips", title, f"{score}. {'; '.join(slips)}.", "note", {"slips": len(slips)})
 
 
@@ -214,7 +217,7 @@ def _outliers(levels: Levels) -> Iterator[Finding]:
         for i, t in enumerate(levels.time_s):
             for index, side, G, limit in _beyond(table[:, i]):
                 where = f"{t / 60:g} min ({NAMES[levels.quantity]})"
-                title = f"Run {runs[index]} of sample {sample} stands alone at {where}"
+                title = f"Run {runs[index]} of sample {sample} is an outlier at {where}"
                 value = f"{table[index, i]:g} {UNITS[levels.quantity]}"
                 detail = f"{value} is too {side}: Grubbs {G:.3f} > {limit:.3f} (1 %)."
                 yield Finding("outlier", title, detail, "note", {"run": runs[index], "minute": t / 60, "G": G})
@@ -258,7 +261,7 @@ def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
     if coarse:
         title = f"The {NAMES[levels.quantity]} was read too coarsely at {_minutes(levels.time_s[coarse])}"
         steps = f"two steps of {step:g} {UNITS[levels.quantity]}"
-        detail = f"There the spread is below {steps}: it is the meter's as much as the pack's."
+        detail = f"There the spread is below {steps}: it comes from the meter as much as from the pack."
         yield Finding("coarse_resolution", title, detail, "note", {"instants": len(coarse), "step": step})
 
 
@@ -282,7 +285,8 @@ def _breaks(readings: Readings) -> Iterator[Finding]:
         title = f"The one-time tests break between {b.low_C:+g} and {b.high_C:+g} °C: two series, not one"
         detail = (
             f"The knee comes {abs(b.jump_s):.0f} s {'later' if b.jump_s > 0 else 'earlier'} at {b.high_C:+g} °C, "
-            f"{abs(b.score):.1f} times the usual scatter between neighbours. No battery does that; fit no law across."
+            f"{abs(b.score):.1f} times the usual scatter between neighbours. No battery does that: "
+            "fit no law across the break."
         )
         numbers = {"low_C": b.low_C, "high_C": b.high_C, "jump_s": b.jump_s}
         yield Finding("series_break", title, detail, "warning", numbers)

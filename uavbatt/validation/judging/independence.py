@@ -45,7 +45,7 @@ class Independence:
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """All samples are set against random pairing of their runs; `dependent` is None if p < 0.01 cannot be reached."""
+    """Dependence compares samples with random pairing of runs; `dependent` is None if p < 0.01 is out of reach."""
 
     p_value: float
     dependent: bool | None
@@ -53,7 +53,7 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True)
 class Bimodality:
-    """The best split in two groups explains `share` of the sum of squares; p-value against one rounded normal.
+    """Bimodality holds the best split in two groups: its `share` of the sum of squares, p against one rounded normal.
 
     `gap` is the largest distance between neighbouring results, `groups` the numbers of results below and above it.
     """
@@ -110,7 +110,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     rows = np.arange(n)
     random_same, random_r = same[rows, orders].sum(axis=1), product[rows, orders].sum(axis=1)
     observed_same, observed_r = int(np.trace(same)), float(np.trace(product))
-    extra = 0 if n <= 7 else 1  # the full set of orders holds the observed one
+    extra = 0 if n <= 7 else 1  # the full set of orders includes the observed one
     total = len(orders) + extra
     p_same = (extra + int(np.sum(random_same >= observed_same))) / total
     p_r = (extra + int(np.sum(random_r >= observed_r - 1e-12))) / total

@@ -25,7 +25,7 @@ MIN_CURVES = 5
 
 @dataclass(frozen=True, slots=True)
 class Break:
-    """The mean knee time jumps by `jump_s` [s] between two neighbouring ambient temperatures [°C].
+    """A Break is a jump of the mean knee time by `jump_s` [s] between two neighbouring ambient temperatures [°C].
 
     `score` is the jump less the usual slope, over the usual scatter between neighbours.
     """
@@ -38,7 +38,7 @@ class Break:
 
 @dataclass(frozen=True, slots=True)
 class QuasiReplicates:
-    """One-time curves that are near repeats lie about a line in ambient temperature, one line per instant.
+    """QuasiReplicates holds one-time curves that are near repeats, about a line in ambient temperature per instant.
 
     `line(T)` [V], residual `sd` [V] with `df` degrees of freedom per instant, `residuals` [curve, instant] [V].
     `left_out` names flagged readings that took no part.
@@ -149,7 +149,7 @@ def _line(group: list[Run], flags: tuple[Flag, ...]) -> QuasiReplicates:
 
 
 def _fit(t: Array, y: Array) -> tuple[float, float, float, float, Array]:
-    """Centre, slope, residual SD, degrees of freedom, residuals (0 where the reading is left out)."""
+    """Return centre, slope, residual SD, degrees of freedom, residuals (0 for a reading that is left out)."""
     known = ~np.isnan(y)
     slope, centre = np.polyfit(t[known], y[known], 1)
     residuals = np.where(known, y - centre - slope * t, 0.0)

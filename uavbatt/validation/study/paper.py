@@ -26,7 +26,7 @@ LATTICE_C = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ColumnFigures:
-    """A column holds equations (1)-(7) evaluated for one sample at one instant; V or °C by `quantity`."""
+    """ColumnFigures holds equations (1)-(7) evaluated for one sample at one instant; V or °C by `quantity`."""
 
     sample: str
     quantity: str
@@ -80,7 +80,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class FisherClaim:
-    """The printed F_emp is compared with every column's ratios of SDs and of variances; `nearest` is the nearest."""
+    """FisherClaim compares the printed F_emp with each column's ratios of SDs and of variances."""
 
     printed: float
     critical_printed: float
@@ -186,7 +186,7 @@ def _too_few(ambient_C: float) -> NotEnoughData:
 
 
 def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
-    """True for tables of the size that the study printed: 2 x 10 x 9 voltages, 10 x 9 temperatures."""
+    """Return True for tables of the size that the study printed: 2 x 10 x 9 voltages, 10 x 9 temperatures."""
     whole = [t.shape for t in tables] == [(10, 9)] * 2 and list(volts.time_s) == [60.0 * m for m in range(9)]
     return whole and heat.curves(0).shape == (10, 9)
 
