@@ -241,7 +241,7 @@ def test_the_page_s_json() -> None:
     report = Report(0, 1, 1, estimate, uavbatt.Remaining(0.0, 60.0, 30.0, 90.0, 50.0, Status.OK), 0.0)
 
     class Board:
-        reports, notes, said, counts = (report,), ("a note",), ((0.0, "a text"),), {"rows": 1}
+        reports, notes, announcements, counts = (report,), ("a note",), ((0.0, "a text"),), {"rows": 1}
 
     said = content(Board, 1.0)  # type: ignore[arg-type]
     of_a_battery = [f"batteries.{key}" for key in said["batteries"][0] if key not in output.COLUMNS]
