@@ -169,10 +169,10 @@ def _fit(
     elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
-    known = ToCome(load, "route", "", ahead, elsewhere, None if elsewhere else home)
+    known = ToCome(load, "route", "", ahead, elsewhere)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.fly_ways(known, flying, way, planned.settings, turns_by_s)
+    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, way, planned.settings, turns_by_s)
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
