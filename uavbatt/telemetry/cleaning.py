@@ -20,9 +20,9 @@ from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_
 
 LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0
-LEAP_C = 3.0  # a change of the current to which a voltage answers that is no more than rounded and noisy
+LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
 LEVEL_TAU_S = 2.0
-ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # for each C: the best packs that fly answer with three times this share
+ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; the best packs show three times it
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
