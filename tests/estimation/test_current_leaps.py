@@ -64,6 +64,11 @@ def test_a_climb_whose_voltage_comes_late_counts_with_it() -> None:
     assert cleaned([CRUISE, (15.4, 60.0), CLIMB, (14.6, 20.0), CRUISE]) == [20.0, 20.0, 60.0, 60.0, 20.0]
 
 
+@pytest.mark.parametrize("row_s", [0.1, 0.3, 1.0])
+def test_a_current_that_comes_after_its_voltage_counts_at_once(row_s: float) -> None:
+    assert cleaned([CRUISE, CRUISE, (14.6, 20.0), CLIMB, CLIMB], row_s) == [20.0, 20.0, 20.0, 60.0, 60.0]
+
+
 @pytest.mark.parametrize("row_s", [0.2, 1.0, 4.0])
 def test_a_current_that_stays_counts_after_two_seconds(row_s: float) -> None:
     """A voltage that is made free of the load by the autopilot never answers."""

@@ -80,10 +80,10 @@ def test_logs_that_cannot_be_read_are_counted_with_their_reason(tmp_path: Path) 
         file.truncate(5 << 30)
     done = fleet(tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "3 logs (3 done now): 1 flown, 2 could not be" in done.stdout
+    assert "3 logs (3 done now): 1 replayed, 2 failed" in done.stdout
     assert "found a file of more than 4 GiB" in done.stdout and "Input/output error" in done.stdout
     assert sorted(row["status"] for row in table(tmp_path)) == ["bad", "lost", "ok"]
-    assert "(1 done now): 1 flown, 2 could not be" in fleet(tmp_path).stdout  # the disk may be better by now
+    assert "(1 done now): 1 replayed, 2 failed" in fleet(tmp_path).stdout  # the disk may be better by now
 
 
 def test_the_log_of_a_damaged_row_is_flown_again(flown: Path) -> None:

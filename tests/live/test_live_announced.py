@@ -190,7 +190,7 @@ def test_without_a_current_the_voltage_says_that_the_end_is_near() -> None:
         bench.now_s += 0.2
     land = "Battery 0: voltage nears its cut-off: land"
     assert texts(bench) == ["Battery 0: time unknown, no current reading", land, land, land]
-    assert [text for _, text in bench.daemon.board.said].count(land) == 1  # the page loses none
+    assert [text for _, text in bench.daemon.board.announcements].count(land) == 1  # the page keeps all of them
 
 
 def heard(announcer: Announcer, left_s: list[float], *, is_first: bool = True) -> list[tuple[int, str]]:

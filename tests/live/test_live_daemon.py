@@ -179,7 +179,7 @@ def test_alarms_speak_once_a_threshold() -> None:
     bench = Bench(options=PackOptions(capacity_Ah=1.0, cells=4, cutoff_V=14.0))
     bench.fly(240.0, volts=16.2)
     texts = [m.text for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
-    shown = [text for _, text in bench.daemon.board.said if "left at worst" in text]
+    shown = [text for _, text in bench.daemon.board.announcements if "left at worst" in text]
     assert 1 <= len(shown) <= 3 and all(len(text) <= 50 for text in texts)
     assert sum("left at worst" in text for text in texts) <= 3 + 2 * 2  # those of two minutes and less come again
 

@@ -155,15 +155,15 @@ def test_a_slow_resolver_does_not_hold_the_loop(monkeypatch: pytest.MonkeyPatch)
     """While the name is looked for the loop turns; once found it connects, and a name that is none is tried again."""
     answered, looked = threading.Event(), []
 
-    def slow(host: str) -> str:
+    def slow(host: str, *_: object, **__: object) -> list[tuple[object, ...]]:
         looked.append(host)
         answered.wait(PATIENCE_S)
         if len(looked) == 1:
             raise socket.gaierror(socket.EAI_AGAIN, "try again")
-        return "127.0.0.1"
+        return [(socket.AF_INET6, 2, 17, "", ("::1", 0, 0, 0)), (socket.AF_INET, 2, 17, "", ("127.0.0.1", 0))]
 
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        monkeypatch.setattr(socket, "gethostbyname", slow)
+        monkeypatch.setattr(socket, "getaddrinfo", slow)
         link, now_s = open_link(f"tcp:drone.example:{server.getsockname()[1]}"), [0.0]
         until(lambda: (link.read(now_s[0]), looked)[1])
         for _ in range(1000):

@@ -3,9 +3,9 @@
 A voltage that leaps between two rows is not used until a second row repeats it. A temperature that a cell cannot have,
 or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
 the model would overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a
-fault of the sensor, or the voltage is late. A current that is missing for up to 5 s is held. Without a current sensor
-the current is worked out from the power that the operator stated, or from a typical power, and the filter gives it a
-wide error.
+fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current
+that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power that the
+operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -21,10 +21,8 @@ from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_
 LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0
 LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
-ANSWER_SHARE, ANSWER_WITHIN_S = (
-    0.0004,
-    2.0,
-)  # a share of the voltage for each C: the best packs show three times as much
+LEVEL_TAU_S = 2.0
+ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; the best packs show three times it
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
@@ -47,6 +45,8 @@ class Cleaner(NamedTuple):
     current_A: float = NAN
     current_s: float = NAN
     current_V: float = NAN  # the voltage with that current
+    level_V: float = NAN  # the voltage, smoothed over the last seconds
+    level_s: float = NAN
     leapt_s: float = NAN  # time of a leap of the current that the voltage has not shown yet
     metered: bool = False
     first_s: float = NAN
@@ -67,6 +67,7 @@ class Cleaner(NamedTuple):
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample, assumed_power_W, capacity_Ah)
+        now = now._with_level(sample)
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample) if sample.cell_voltages_V else now, sample
@@ -81,6 +82,7 @@ class Cleaner(NamedTuple):
             voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
             current_s=self.current_s + shift_s,
+            level_s=self.level_s + shift_s,
             leapt_s=self.leapt_s + shift_s,
             first_s=self.first_s + shift_s,
             spread_s=self.spread_s + shift_s,
@@ -128,12 +130,22 @@ class Cleaner(NamedTuple):
         read_A, time_s = sample.current_A, sample.time_s
         leap_C = (read_A - self.current_A) / capacity_Ah
         if time_s - self.current_s <= LEAP_WITHIN_S and abs(leap_C) > LEAP_C and math.isfinite(self.current_V):
-            fall = (1.0 - sample.voltage_V / self.current_V) * math.copysign(1.0, leap_C)
+            falls = [(1.0 - sample.voltage_V / V) * math.copysign(1.0, leap_C) for V in (self.current_V, self.level_V)]
+            is_answered = any(fall >= ANSWER_SHARE * abs(leap_C) for fall in falls)
             since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
-            if not fall >= ANSWER_SHARE * abs(leap_C) and time_s - since_s < ANSWER_WITHIN_S:
+            if not is_answered and time_s - since_s < ANSWER_WITHIN_S:
                 return self._replace(leapt_s=since_s, metered=True, guessed=False), self.current_A
         now = self._replace(current_A=read_A, current_s=time_s, current_V=sample.voltage_V, leapt_s=NAN)
         return now._replace(metered=True, guessed=False), read_A
+
+    def _with_level(self, sample: Sample) -> Cleaner:
+        """Take the voltage into its level of the last seconds."""
+        if not math.isfinite(sample.voltage_V):
+            return self
+        dt_s = sample.time_s - self.level_s
+        keep = math.exp(-max(dt_s, 0.0) / LEVEL_TAU_S) if dt_s <= LEAP_WITHIN_S else 0.0
+        level_V = sample.voltage_V + keep * (self.level_V - sample.voltage_V) if keep else sample.voltage_V
+        return self._replace(level_V=level_V, level_s=sample.time_s)
 
     def _with_cells(self, sample: Sample) -> Cleaner:
         """Take the cell voltages in: how far the weakest cell is below the mean, smoothed over half a minute."""
