@@ -29,6 +29,8 @@ from uavbatt.validation.judging.corridor import shared_table
 from uavbatt.validation.judging.findings import Finding
 from uavbatt.validation.judging.independence import dependence
 
+SAME = "all repeated results are equal: the resolution of the meter hides how they differ"
+
 
 def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding], known: Uncertainty) -> Claim:
     """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
@@ -38,10 +40,9 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
     df = shared.shape[0] - 1 if linked else sum(len(c) - 1 for c in levels.cells(0))
     A_r = relative_uncertainty_r(df) if df else math.inf
     s_r = max(p.s_r for p in rows)
-    verdict: Verdict = "pass" if A_r <= limits.precision_A_r else "not enough data"
-    reason = (
-        f"s_r up to {s_r:.3g} V, known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
-    )
+    verdict: Verdict = "pass" if A_r <= limits.precision_A_r and s_r > 0.0 else "not enough data"
+    known_to = f"known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
+    reason = f"s_r up to {s_r:.3g} V, {known_to}" if s_r > 0.0 else SAME
     reason += "; the samples depend on each other and count as one" if linked else ""
     drifts = [f for f in found if f.kind == "drift" and "voltage" in f.title]
     reason += f"; warning: {drifts[0].title}" if drifts else ""
@@ -59,7 +60,8 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
     p_value = {"samples": float(k), "p_dependence": linked.p_value}
     if k < LEAST_SAMPLES:
         also = ", and they depend on each other" if linked.dependent else ""
-        return not_judged(f"{k} sample(s){also}: at least {LEAST_SAMPLES} are needed", p_value)
+        share = f" of {all_k} share their occasions" if k < (all_k := len(levels.samples)) else ""
+        return not_judged(f"{k} sample(s){share}{also}: at least {LEAST_SAMPLES} are needed", p_value)
     if linked.dependent is not False:
         unknown = "too few runs to tell whether the samples are independent"
         reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
@@ -67,7 +69,10 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
     at = gate.judged_instants(held, limits, cutoff_V)
     if not at.size:
         return not_judged("no instant can be judged", p_value)
-    A_R = max(precision(levels.cells(int(i))).A_R for i in at)
+    rows = [precision(levels.cells(int(i))) for i in at]
+    if not any(p.s_R > 0.0 for p in rows):
+        return not_judged(SAME, p_value)
+    A_R = max(p.A_R for p in rows if p.s_R > 0.0)
     if not limits.precision_A_R >= A_R:
         reason = f"s_R known to ±{A_R:.0%} only (declared: ±{limits.precision_A_R:.0%}), {k} samples"
         return not_judged(reason, {**p_value, "A_R": A_R})

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -20,6 +21,8 @@ from uavbatt.errors import UavbattError
 Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Sequence[ArrayLike] | Array
 LEAST_SAMPLES = 3  # fewer say nothing of reproducibility
+LARGEST = 1e150  # squares of larger results overflow
+DUST = 4.0 * np.finfo(np.float64).eps  # numbers nearer than that share of the largest differ by their rounding alone
 
 
 class BadCells(UavbattError, ValueError):
@@ -83,19 +86,41 @@ def numbers(values: ArrayLike, what: str) -> Array:
 
 
 def summarise(cells: Cells) -> Summary:
-    """Reduce cells to counts, means and variances, in two passes about the first result. Raises BadCells."""
+    """Reduce cells to counts, means and variances, in two passes about the first result. Raises BadCells.
+
+    Results that are equal have a variance of exactly 0, and means that are equal in decimals are equal here: else the
+    rounding of binary numbers is all that a test for outliers sees, and it finds outliers in it.
+    """
     if isinstance(cells, str) or not hasattr(cells, "__len__") or len(cells) == 0:
         raise BadCells("cells: expected one sequence of results per sample, there is none")
     arrays = [numbers(c, f"cell {i + 1}") for i, c in enumerate(cells)]
-    reference = float(arrays[0][0])
+    reference, largest = float(arrays[0][0]), max(float(np.max(np.abs(a))) for a in arrays)
+    if not largest < LARGEST:
+        raise BadCells(f"cells: expected results below {LARGEST:g}, found {largest:g}")
     offsets, variances = [], []
     for array in arrays:
-        deviations = array - reference
+        deviations = without_dust(array - reference, largest)
         mean = math.fsum(deviations) / len(array)
         offsets.append(mean)
-        variances.append(math.fsum((deviations - mean) ** 2) / (len(array) - 1) if len(array) > 1 else math.nan)
+        variances.append(_variance(deviations, mean) if len(array) > 1 else math.nan)
     counts = np.array([len(a) for a in arrays], dtype=float)
-    return Summary(reference, counts, np.array(offsets), np.array(variances))
+    return Summary(reference, counts, without_dust(np.array(offsets), largest), np.array(variances))
+
+
+def _variance(deviations: Array, mean: float) -> float:
+    """Return the variance of two or more deviations from the reference; exactly 0 if all are equal."""
+    if np.ptp(deviations) == 0.0:
+        return 0.0
+    return math.fsum((deviations - mean) ** 2) / (len(deviations) - 1)
+
+
+def without_dust(values: Array, largest: float) -> Array:
+    """Return the values, those made equal that differ only by the rounding of numbers as large as `largest`."""
+    order, out = np.argsort(values, kind="stable"), values.copy()
+    for before, after in pairwise(order):
+        if values[after] - values[before] <= DUST * largest:
+            out[after] = out[before]
+    return out
 
 
 def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summary:
@@ -103,9 +128,10 @@ def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summ
     m, s, n = (numbers(v, w) for v, w in ((means, "means"), (sds, "SDs"), (counts, "counts")))
     if not len(m) == len(s) == len(n):
         raise BadCells(f"expected as many means, SDs and counts, found {len(m)}, {len(s)} and {len(n)}")
-    if np.any(s < 0) or np.any(n < 1):
-        raise BadCells("expected SDs of at least 0 and counts of at least 1")
-    return Summary(float(m[0]), n, m - m[0], np.where(n > 1, s**2, math.nan))
+    if np.any(s < 0) or np.any(n < 1) or np.any(n != np.round(n)):
+        raise BadCells("expected SDs of at least 0 and whole counts of at least 1")
+    offsets = without_dust(m - m[0], float(np.max(np.abs(m))))
+    return Summary(float(m[0]), n, offsets, np.where(n > 1, s**2, math.nan))
 
 
 def spread(values: Array) -> tuple[Array, float]:

@@ -147,7 +147,10 @@ def crossed(table: ArrayLike) -> Crossed:
 
     Raises BadCells for what is no such table, NotEnoughData below two occasions that all samples share.
     """
-    y = np.asarray(table, dtype=np.float64)
+    try:
+        y = np.asarray(table, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadCells("expected a table occasion x sample of numbers, NaN for a gap") from None
     if y.ndim != 2 or y.size == 0 or np.isinf(y).any():
         raise BadCells(f"expected a table occasion x sample, found shape {y.shape}")
     complete = ~np.isnan(y).any(axis=1)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.iso5725.cells import Array, Cells, numbers, spread, summarise
+from uavbatt.validation.iso5725.cells import Array, Cells, numbers, spread, summarise, without_dust
 
 Verdict = Literal["ok", "straggler", "outlier"]
 
@@ -153,7 +153,8 @@ def _verdict(statistic: float, critical_5: float, critical_1: float) -> Verdict:
 def cochran(cells: Cells) -> Cochran:
     """Test the largest variance, C = s²_max/Σs² over the cells with two results or more.
 
-    For unequal n the n of most cells is used. Raises BadCells, and NotEnoughData below two such cells.
+    For unequal n the n of most cells is used. A single variance that is not zero gives C = 1 at any size, which is
+    noted. Raises BadCells, and NotEnoughData below two such cells.
     """
     summary = summarise(cells)
     known = np.flatnonzero(summary.counts > 1)
@@ -168,6 +169,8 @@ def cochran(cells: Cells) -> Cochran:
     notes = [f"unequal numbers of results: n = {n} used"] if np.ptp(summary.counts[known]) else []
     if total == 0:
         notes.append("all standard deviations are zero: nothing to compare")
+    elif np.count_nonzero(variances) == 1:
+        notes.append("all standard deviations but one are zero: the resolution of the results decides")
     verdict = _verdict(statistic, critical_5, critical_1)
     return Cochran(statistic, critical_5, critical_1, index, verdict, p, n, tuple(notes))
 
@@ -175,9 +178,11 @@ def cochran(cells: Cells) -> Cochran:
 def grubbs(means: ArrayLike) -> Grubbs:
     """Test the largest and the smallest of three values or more: G = (x_max - x̄)/s and (x̄ - x_min)/s.
 
+    Of three values of which two are equal the third is 1.155 SDs off, however near it is. That says nothing, and the
+    verdict is "ok", as by the standard's table (1.155 at both levels).
     Raises BadCells for what is no flat sequence of numbers, NotEnoughData below three values.
     """
-    values = numbers(means, "means")
+    values = _means(means)
     p = len(values)
     if p < 3:
         raise NotEnoughData(f"Grubbs' test needs three values or more, found {p}")
@@ -185,7 +190,8 @@ def grubbs(means: ArrayLike) -> Grubbs:
     sd = math.sqrt(squares / (p - 1))
     high, low = (float(deviations.max()) / sd, -float(deviations.min()) / sd) if sd > 0 else (0.0, 0.0)
     critical_5, critical_1 = grubbs_critical(p, 0.05), grubbs_critical(p, 0.01)
-    verdicts = [_verdict(g, critical_5, critical_1) for g in (high, low)]
+    is_tie = p == 3 and np.unique(values).size < 3
+    verdicts: list[Verdict] = ["ok" if is_tie else _verdict(g, critical_5, critical_1) for g in (high, low)]
     places = int(np.argmax(values)), int(np.argmin(values))
     return Grubbs(high, low, critical_5, critical_1, verdicts[0], verdicts[1], *places)
 
@@ -193,9 +199,11 @@ def grubbs(means: ArrayLike) -> Grubbs:
 def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
     """Test the two largest and the two smallest of four values or more: s²(without the two)/s0².
 
+    Of four values, two that are equal make the statistic of the others 0, however near these are: that says nothing,
+    and the verdict is "ok".
     Raises BadCells for what is no flat sequence of numbers, NotEnoughData below four values.
     """
-    values = numbers(means, "means")
+    values = _means(means)
     p = len(values)
     if p < 4:
         raise NotEnoughData(f"the double Grubbs test needs four values or more, found {p}")
@@ -204,9 +212,19 @@ def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
     high, low = (spread(values[kept])[1] / whole if whole > 0 else 1.0 for kept in (order[:-2], order[2:]))
     critical_5, critical_1 = double_grubbs_critical(p, 0.05), double_grubbs_critical(p, 0.01)
     known = not math.isnan(critical_5)
-    verdicts = [_verdict(-g, -critical_5, -critical_1) if known else None for g in (high, low)]
+    verdicts = [_double_verdict(p, g, critical_5, critical_1) if known else None for g in (high, low)]
     ends = (int(order[-1]), int(order[-2])), (int(order[0]), int(order[1]))
     return DoubleGrubbs(high, low, critical_5, critical_1, verdicts[0], verdicts[1], *ends)
+
+
+def _double_verdict(p: int, statistic: float, critical_5: float, critical_1: float) -> Verdict:
+    return "ok" if p == 4 and statistic == 0.0 else _verdict(-statistic, -critical_5, -critical_1)
+
+
+def _means(means: ArrayLike) -> Array:
+    """Return the means to test; those that are equal in decimals are equal. Raises BadCells."""
+    values = numbers(means, "means")
+    return without_dust(values, float(np.max(np.abs(values))))
 
 
 def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
@@ -237,8 +255,8 @@ def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
 def scrutinise(cells: Cells) -> Scrutiny:
     """Run the tests for outliers in the order of ISO 5725-2, 7.3.4: Mandel's h and k, Cochran, then Grubbs.
 
-    Grubbs is single at both ends; if a value is found it is dropped and the other end tested, if none is found
-    pairs are tested. Raises BadCells, and NotEnoughData below two cells.
+    Grubbs is single at both ends; if a value is found it is dropped (the farther one, if both ends are found) and the
+    other end tested, if none is found pairs are tested. Raises BadCells, and NotEnoughData below two cells.
     """
     summary = summarise(cells)
     variance_test = cochran(cells) if np.sum(summary.counts > 1) > 1 else None
@@ -246,8 +264,9 @@ def scrutinise(cells: Cells) -> Scrutiny:
     if summary.p < 3:
         return Scrutiny(mandel(cells), variance_test, None, None, None)
     single = grubbs(means)
-    ends = ((single.index_high, single.verdict_high), (single.index_low, single.verdict_low))
-    found = [index for index, verdict in ends if verdict != "ok"]
+    high = (single.statistic_high, single.index_high, single.verdict_high)
+    low = (single.statistic_low, single.index_low, single.verdict_low)
+    found = [index for _, index, verdict in sorted((high, low), reverse=True) if verdict != "ok"]
     retest = grubbs(np.delete(means, found[0])) if found and summary.p > 3 else None
     double = double_grubbs(means) if not found and summary.p > 3 else None
     return Scrutiny(mandel(cells), variance_test, single, double, retest)

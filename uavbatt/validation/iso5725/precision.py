@@ -85,7 +85,7 @@ def precision_of(summary: Summary, method: Method = "anova") -> Precision:
         offset, within, between = reml(summary)
     s_r, s_R = math.sqrt(within), math.sqrt(within + between)
     dfs = (summary.p - 1.0, summary.within_df)
-    F = ms_b / ms_w if ms_w > 0 else math.nan
+    F = ms_b / ms_w if ms_w > 0 else math.inf if ms_b > 0 else math.nan
     return Precision(
         mean=summary.reference + offset, s_r=s_r, s_L=math.sqrt(between), s_R=s_R,
         r=LIMIT_FACTOR * s_r, R=LIMIT_FACTOR * s_R,
@@ -93,7 +93,7 @@ def precision_of(summary: Summary, method: Method = "anova") -> Precision:
         F=F, p_value=float(stats.f.sf(F, *dfs)) if summary.p > 1 else math.nan,
         s_L2_raw=raw, negative_between=bool(raw < 0),
         A_r=relative_uncertainty_r(summary.within_df),
-        A_R=relative_uncertainty_R(summary.p, n_bar, s_R / s_r if s_r > 0 else math.nan),
+        A_R=relative_uncertainty_R(summary.p, n_bar, s_R / s_r if s_r > 0 else math.inf if s_R > 0 else math.nan),
         s_r_interval=sd_interval(math.sqrt(ms_w), dfs[1]),
         s_L_interval=between_interval(ms_b, ms_w, dfs, n_bar) if summary.p > 1 else UNKNOWN,
         s_R_interval=sum_interval((ms_b, ms_w), (1 / n_bar, max(1 - 1 / n_bar, 0)), dfs) if summary.p > 1 else UNKNOWN,
@@ -129,9 +129,14 @@ def relative_uncertainty_r(within_df: float) -> float:
 
 
 def relative_uncertainty_R(p: int, n: float, gamma: float) -> float:
-    """Compute A_R = 1.96·√{(p[1+n(γ²-1)]² + (n-1)(p-1)) / (2γ⁴n²(p-1)p)}, γ = σ_R/σ_r (ISO 5725-1)."""
+    """Compute A_R = 1.96·√{(p[1+n(γ²-1)]² + (n-1)(p-1)) / (2γ⁴n²(p-1)p)}, γ = σ_R/σ_r (ISO 5725-1).
+
+    For an infinite γ (σ_r = 0) it is the limit, 1.96·√(1/(2(p-1))).
+    """
     if p < 2 or math.isnan(gamma):
         return math.nan
+    if math.isinf(gamma):
+        return 1.96 * math.sqrt(1 / (2 * (p - 1)))
     above = p * (1 + n * (gamma**2 - 1)) ** 2 + (n - 1) * (p - 1)
     return 1.96 * math.sqrt(above / (2 * gamma**4 * n**2 * (p - 1) * p))
 

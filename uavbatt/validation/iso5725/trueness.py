@@ -65,7 +65,8 @@ def laboratory_bias(results: ArrayLike, reference: float, u_reference: float = 0
     n = len(values)
     if n < 2:
         raise NotEnoughData("a bias with an interval needs two results or more")
-    if u_reference < 0:
+    _check_reference(reference)
+    if not 0 <= u_reference < math.inf:
         raise BadCells(f"expected an uncertainty of at least 0, found {u_reference:g}")
     _, squares = spread(values)
     bias = float(values[0] - reference + (values - values[0]).mean())
@@ -78,19 +79,36 @@ def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, si
     """Estimate the bias of a method in several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
 
     With known σ_r and σ_R the factor is 1.96; estimated from the cells it is t with p-1 degrees of freedom.
-    Raises BadCells, and NotEnoughData below two laboratories.
+    Raises BadCells, also for one σ without the other, and NotEnoughData below two laboratories.
     """
+    _check_reference(reference)
+    if (sigma_r is None) != (sigma_R is None):
+        raise BadCells("expected both sigma_r and sigma_R, or neither")
     summary = summarise(cells)
     found = precision_of(summary)
     if summary.p < 2:
         raise NotEnoughData("the bias of a method needs two laboratories or more; use laboratory_bias for one")
     known = sigma_r is not None and sigma_R is not None
-    s_r, s_R = (sigma_r or 0.0, sigma_R or 0.0) if known else (found.s_r, found.s_R)
+    s_r, s_R = found.s_r, found.s_R
+    if sigma_r is not None and sigma_R is not None:
+        s_r, s_R = _checked_sigmas(sigma_r, sigma_R)
     u = bias_uncertainty(s_r, s_R, found.n_bar, summary.p)
     half = (1.96 if known else float(stats.t.ppf(0.975, summary.p - 1))) * u
     bias = found.mean - reference
     few = () if summary.p >= 3 else ("fewer than three laboratories: the interval says little",)
     return Bias(bias, u, (bias - half, bias + half), abs(bias) > half, found.n_total, few)
+
+
+def _check_reference(reference: float) -> None:
+    if not math.isfinite(reference):
+        raise BadCells(f"expected a finite reference value, found {reference:g}")
+
+
+def _checked_sigmas(sigma_r: float, sigma_R: float) -> tuple[float, float]:
+    """Return claimed SDs. Raises BadCells unless 0 < σ_r <= σ_R: reproducibility contains repeatability."""
+    if not 0.0 < sigma_r <= sigma_R < math.inf:
+        raise BadCells(f"expected 0 < sigma_r <= sigma_R, found {sigma_r:g} and {sigma_R:g}")
+    return sigma_r, sigma_R
 
 
 def bias_uncertainty(sigma_r: float, sigma_R: float, n: float, p: int) -> float:
@@ -102,8 +120,9 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
     """Check a claimed σ_r and σ_R against results (ISO 5725-4).
 
     C' = s_r²/σ_r² <= χ²(1-α;ν)/ν, C'' = [s_R²-(1-1/n)s_r²]/[σ_R²-(1-1/n)σ_r²] <= χ²(1-α;p-1)/(p-1).
-    Raises BadCells, and NotEnoughData below two laboratories.
+    Raises BadCells, also unless 0 < σ_r <= σ_R, and NotEnoughData below two laboratories.
     """
+    sigma_r, sigma_R = _checked_sigmas(sigma_r, sigma_R)
     summary = summarise(cells)
     found, df, p = precision_of(summary), summary.within_df, summary.p
     if p < 2:
@@ -135,8 +154,11 @@ def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
     """Check the range of n results against f(n)·s_r, f rounded to one decimal as in the standard (ISO 5725-6).
 
     `pair_share_beyond`, the share of pairs beyond 2.8·s_r, is for the record: pairs are dependent, it has no level.
+    Raises BadCells below two results and for an s_r that is no SD.
     """
     values = numbers(results, "results")
+    if not 0 <= s_r < math.inf:
+        raise BadCells(f"expected an s_r of at least 0, found {s_r:g}")
     factor = round(range_factor(len(values)), 1)
     width = float(values.max() - values.min())
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]

@@ -17,6 +17,7 @@ from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725 import outliers
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
+from uavbatt.validation.judging.consistency import inconsistencies, words
 from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
 from uavbatt.validation.judging.drift import abbe, curve_step
 from uavbatt.validation.judging.independence import bimodality, independence, resolution
@@ -52,7 +53,8 @@ def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tup
         found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
-            found += [*_drift(levels), *_outliers(levels), *_two_groups(dataset, levels), *_coarse(dataset, levels)]
+            found += [*_drift(levels), *_inconsistent(levels), *_outliers(levels)]
+            found += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
     found += [*_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
     return tuple(sorted(found, key=lambda f: rank[f.severity]))
@@ -206,6 +208,15 @@ def _drift(levels: Levels) -> Iterator[Finding]:
     )
     numbers = {"after_run": last, "instants": len(drifting), "step": float(sizes[most]), "p_value": step.p_value}
     yield Finding("drift", title, detail, "serious", numbers)
+
+
+def _inconsistent(levels: Levels) -> Iterator[Finding]:
+    for f in inconsistencies(levels):
+        at = levels.time_s[list(f.instants)]
+        when = (_minutes(at), f"{levels.time_s[f.worst] / 60:g}")
+        told = words(f, NAMES[levels.quantity], UNITS[levels.quantity], *when)
+        numbers = {"instants": at.size, "statistic": f.statistic, "critical_1": f.critical}
+        yield Finding(f"inconsistent_{f.kind}", *told, "warning" if f.is_certain else "note", numbers)
 
 
 def _outliers(levels: Levels) -> Iterator[Finding]:

@@ -1,0 +1,125 @@
+"""Consistency of the samples with each other, instant by instant: Cochran's and Grubbs' tests of ISO 5725-2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from uavbatt.dataset import Levels
+from uavbatt.validation.iso5725 import outliers
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
+
+OUTLIER = 0.01  # the level at which ISO 5725-2 calls a sample an outlier, for one instant
+
+Kind = Literal["scatter", "mean"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inconsistency:
+    """Inconsistency says that a sample is an outlier among the samples, by its scatter or by its mean.
+
+    `instants` are the indices at which it is one, `worst` the index at which most. `own` and `others` are the SD of the
+    sample and the pooled SD of the others there, or the mean of the sample and of the others, in the unit of the
+    results. `is_certain` tells that it passes the limit even if that is divided among all instants.
+    """
+
+    kind: Kind
+    sample: str
+    instants: tuple[int, ...]
+    worst: int
+    own: float
+    others: float
+    statistic: float
+    critical: float
+    is_certain: bool
+
+
+class _Found(NamedTuple):
+    sample: int
+    own: float
+    others: float
+    statistic: float
+    critical: float
+    strict: float
+
+
+def inconsistencies(levels: Levels) -> Iterator[Inconsistency]:
+    """Find the samples that are outliers among the samples at one or more instants, each once for each kind.
+
+    Cochran's test compares the variances of two samples or more, Grubbs' test the means of three or more. Where all
+    samples but one show no scatter at all, the resolution of the meter decides, and nothing is said.
+    """
+    instants = range(levels.time_s.size)
+    kinds: tuple[Kind, ...] = ("scatter", "mean")
+    for kind in kinds:
+        test = _scatter if kind == "scatter" else _mean
+        found = {i: one for i in instants if (one := test(_cells(levels, i), len(instants))) is not None}
+        for sample in sorted({f.sample for f in found.values()}):
+            its = {i: f for i, f in found.items() if f.sample == sample}
+            worst = max(its, key=lambda i: its[i].statistic / its[i].critical)
+            is_certain = any(f.statistic > f.strict for f in its.values())
+            yield Inconsistency(kind, str(levels.samples[sample]), tuple(its), worst, *its[worst][1:-1], is_certain)
+
+
+def words(found: Inconsistency, name: str, unit: str, minutes: str, worst_minute: str) -> tuple[str, str]:
+    """Return a title and a detail; `name` and `unit` are of what was measured, the minutes are when."""
+    does, of, test = {
+        "scatter": ("scatters more than the others", "SD", "Cochran"),
+        "mean": ("lies apart from the others", "mean", "Grubbs"),
+    }[found.kind]
+    detail = (
+        f"At {worst_minute} min its {of} is {found.own:.4g} {unit}, that of the others {found.others:.4g} {unit}: "
+        f"{test} {found.statistic:.3f} > {found.critical:.3f} (1 %). It counts in all results: look for the cause."
+    )
+    return f"The {name} of sample {found.sample} {does} at {minutes}", detail
+
+
+def _cells(levels: Levels, instant: int) -> list[Array]:
+    """Return the results of each sample at one instant; empty for a sample without one."""
+    columns = levels.values[:, :, instant].T
+    return [column[~np.isnan(column)] for column in columns]
+
+
+def _scatter(cells: list[Array], instants: int) -> _Found | None:
+    """Return the sample with an outlying variance at one instant, if there is one.
+
+    Numbers of results may differ: the share of a sample in the sum of squares is compared with its own critical value
+    ('t Lam 2010, Analytica Chimica Acta 659, 68). For equal numbers that is Cochran's test.
+    """
+    df = np.array([len(c) - 1.0 for c in cells])
+    squares = np.array([float(np.sum((c - np.mean(c)) ** 2)) if len(c) > 1 else 0.0 for c in cells])
+    whole, all_df, repeated = float(np.sum(squares)), float(np.sum(df[df > 0.0])), np.flatnonzero(df > 0.0)
+    if repeated.size < 2 or np.count_nonzero(squares > 1e-12 * whole) < 2:
+        return None
+
+    def critical(j: int, level: float) -> float:
+        F = float(stats.f.ppf(1.0 - level / repeated.size, df[j], all_df - df[j]))
+        return float(1.0 / (1.0 + (all_df - df[j]) / df[j] / F))
+
+    j = max((int(j) for j in repeated), key=lambda j: squares[j] / whole / critical(j, OUTLIER))
+    share, limit = squares[j] / whole, critical(j, OUTLIER)
+    if share <= limit:
+        return None
+    own, others = np.sqrt(squares[j] / df[j]), np.sqrt((whole - squares[j]) / (all_df - df[j]))
+    return _Found(j, float(own), float(others), float(share), limit, critical(j, OUTLIER / instants))
+
+
+def _mean(cells: list[Array], instants: int) -> _Found | None:
+    """Return the sample with an outlying mean at one instant, if there is one: the farther end, if both are."""
+    measured = [j for j, c in enumerate(cells) if len(c)]
+    if len(measured) < LEAST_SAMPLES:
+        return None
+    means = np.array([float(np.mean(cells[j])) for j in measured])
+    test = outliers.grubbs(means)
+    high = (test.statistic_high, test.index_high, test.verdict_high)
+    low = (test.statistic_low, test.index_low, test.verdict_low)
+    statistic, index, verdict = max(high, low)
+    if verdict != "outlier":
+        return None
+    strict = outliers.grubbs_critical(means.size, OUTLIER / instants)
+    others = float(np.mean(np.delete(means, index)))
+    return _Found(measured[index], float(means[index]), others, statistic, test.critical_1, strict)
