@@ -1,6 +1,6 @@
 """Replay a flight log and ask three questions: what was left at landing, how good were the forecasts, when did it warn.
 
-    python examples/replay_a_log.py logs/quad_4s.tlog [CAPACITY_AH]
+python examples/replay_a_log.py logs/quad_4s.tlog [CAPACITY_AH]
 """
 
 from __future__ import annotations

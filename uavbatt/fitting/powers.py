@@ -131,7 +131,7 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
 
 
 def _fast_shape_sd(normal: Array, shares: Array, induced_ms: float) -> float:
-    """Relative sd of the power in level flight at KNOWN_MS by what the fit leaves open; `normal` is its precision."""
+    """Return the relative sd of the power in level flight at KNOWN_MS left by the fit; `normal` is its precision."""
     column = terms(KNOWN_MS, 0.0, 0.0, 0.0, induced_ms)
     return math.sqrt(float(column @ np.linalg.solve(normal, column))) / (1.0 + float(column @ shares))
 

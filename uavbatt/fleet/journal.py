@@ -63,7 +63,7 @@ class Journal(Generic[Row]):
         self._keys = keys
         self._row_of: Callable[[Mapping[str, Any]], Row] = row_of
         self._places: dict[int, int] = {}
-        self._lost: set[int] = set()  # logs of an earlier run that could not be read then: tried again
+        self._lost: set[int] = set()  # logs that an earlier run could not read; they are tried again
         self.dropped = 0  # damaged rows
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -30,7 +30,7 @@ from uavbatt.fleet.errand import Errand, Row
 TRIES = 2
 LOOK_PERIOD_S = 1.0
 MEMORY_IN_USE = 0.9  # of the machine's memory, by all workers together
-LEAST_BYTES = 150e6  # that a worker takes with a small log
+LEAST_BYTES = 150e6  # memory of a worker with a small log
 _SPAWN = multiprocessing.get_context("spawn")
 
 

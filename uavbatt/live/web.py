@@ -32,7 +32,7 @@ from uavbatt.live.report import NOTHING_YET, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
-START = secrets.token_hex(8)  # another in every process: `clock_s` may have begun anew with it
+START = secrets.token_hex(8)  # differs in every process, because `clock_s` may begin again
 SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"

@@ -34,7 +34,7 @@ class TcpServer:
         self._silent_after_s = silent_after_s
         try:
             address = address_of(at.host)
-            is_both = address == "::" and socket.has_dualstack_ipv6()  # as a datagram socket there hears both
+            is_both = address == "::" and socket.has_dualstack_ipv6()  # a datagram socket on :: hears both
             self._socket = socket.create_server((address, at.port), family=family_of(address), dualstack_ipv6=is_both)
         except OSError as error:
             raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None

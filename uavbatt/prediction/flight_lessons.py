@@ -33,9 +33,9 @@ POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
 LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
 
 
-# Height and run are compared where the two ways of climbing are far enough apart.
+# Height and distance are compared where the two ways of climbing differ enough.
 TELLING_M, TELLING_SHARE = 5.0, 0.25
-EARLIEST_SHARE = 0.1  # of the run: before, the aircraft has only begun to move
+EARLIEST_SHARE = 0.1  # of the distance; before, the aircraft has only begun to move
 
 
 class Timing(NamedTuple):
@@ -84,7 +84,7 @@ class FlightLessons(NamedTuple):
     wind_east_ms: float = NAN
     level_s: float = 0.0  # seconds of flight that told the level, older ones counted less
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
-    climbed_first_s: float = 0.0  # seconds in which the height was ahead of the run, as if it climbed first
+    climbed_first_s: float = 0.0  # seconds in which the height was ahead of the distance, as if it climbed first
     climbed_along_s: float = 0.0  # seconds in which it was not
 
     @property
@@ -117,7 +117,7 @@ class FlightLessons(NamedTuple):
         return self
 
     def with_climb(self, leg: Leg, here: Point, row_s: float) -> FlightLessons:
-        """Return the lessons after `row_s` [s] on a leg, now at `here`: does the height change first, or along the leg?
+        """Return the lessons after `row_s` [s] on a leg, now at `here`, about its way of climbing: first, or along it.
 
         A leg on which the two hardly differ tells nothing.
         """

@@ -54,7 +54,7 @@ class Leg(NamedTuple):
 
     @property
     def vertical_s(self) -> float:
-        """Return the time that the height alone asks at the planned climb or descent rate [s]."""
+        """Return the time of the height change alone at the planned climb or descent rate [s]."""
         rise_m = self.rise_m
         return rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
 
