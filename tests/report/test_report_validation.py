@@ -24,7 +24,8 @@ from uavbatt.validation.gating import gate
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision
 from uavbatt.validation.judging.corridor import Corridor, corridor, corridors
-from uavbatt.validation.judging.findings import Finding, findings
+from uavbatt.validation.judging.finding import Finding
+from uavbatt.validation.judging.findings import findings
 from uavbatt.validation.judging.readings import read_once
 from uavbatt.validation.study import paper
 from uavbatt.validation.validate import LevelPrecision, Validation

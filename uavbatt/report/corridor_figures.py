@@ -14,7 +14,7 @@ from uavbatt.report.page import Html, celsius, figure, paragraph, sentence
 from uavbatt.report.validation_page import Array, ValidationPage
 from uavbatt.validation.judging.corridor import Corridor, time_corridor
 from uavbatt.validation.judging.crossing import crossing_time
-from uavbatt.validation.judging.findings import NAMES
+from uavbatt.validation.judging.finding import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from uavbatt.report.page import Html, celsius, figure, number, sentence
 from uavbatt.report.validation_page import Array, Consistency
 from uavbatt.report.validation_tables import nearest, plain_reason, shown_as
 from uavbatt.validation.gating.gate import Claim
-from uavbatt.validation.judging.findings import NAMES
+from uavbatt.validation.judging.finding import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

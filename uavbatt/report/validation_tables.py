@@ -27,7 +27,7 @@ from uavbatt.report.page import (
 from uavbatt.report.validation_page import ErrorChange
 from uavbatt.validation.gating.budget import Budget
 from uavbatt.validation.gating.gate import Claim
-from uavbatt.validation.judging.findings import Finding
+from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.study.paper import Agreement
 from uavbatt.validation.validate import LevelPrecision
 

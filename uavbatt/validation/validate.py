@@ -25,7 +25,8 @@ from uavbatt.validation.iso5725 import Precision, precision
 from uavbatt.validation.iso5725.outliers import Mandel, mandel
 from uavbatt.validation.judging.corridor import LEAST_OCCASIONS, Corridor, corridors
 from uavbatt.validation.judging.drift import Drift, drift
-from uavbatt.validation.judging.findings import Finding, findings
+from uavbatt.validation.judging.finding import Finding
+from uavbatt.validation.judging.findings import findings
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings, read_once
 
 LEAST_DRIFT_RUNS = 4

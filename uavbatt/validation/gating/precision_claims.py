@@ -26,7 +26,7 @@ from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
 from uavbatt.validation.iso5725.intermediate import crossed
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging.corridor import shared_table
-from uavbatt.validation.judging.findings import Finding
+from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.judging.independence import dependence
 
 SAME = "all repeated results are equal: the resolution of the meter hides how they differ"

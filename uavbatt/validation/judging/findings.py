@@ -6,39 +6,23 @@ the numbers and the statistical test, `numbers` the same for programs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
 from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.iso5725 import outliers
-from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
-from uavbatt.validation.judging.consistency import inconsistencies, words
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
 from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
 from uavbatt.validation.judging.drift import abbe, curve_step
+from uavbatt.validation.judging.finding import NAMES, UNITS, Finding, minutes
 from uavbatt.validation.judging.independence import bimodality, independence, resolution
+from uavbatt.validation.judging.outlying import inconsistent_samples, likely_misprints, outlying_runs
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
-from uavbatt.validation.judging.series import quasi_replicates
 from uavbatt.validation.study import paper
 
-NAMES = {"voltage_V": "voltage", "surface_C": "surface temperature"}
-UNITS = {"voltage_V": "V", "surface_C": "°C"}
 HELD_WELL = 0.9
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A finding tells one thing about the tests; `severity` is what it means for trust in the result."""
-
-    kind: str
-    title: str
-    detail: str
-    severity: Literal["serious", "warning", "note"]
-    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:
@@ -53,15 +37,11 @@ def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tup
         found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
-            found += [*_drift(levels), *_inconsistent(levels), *_outliers(levels)]
+            found += [*_drift(levels), *inconsistent_samples(levels), *outlying_runs(levels)]
             found += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
-    found += [*_misprints(readings), *_breaks(readings)]
+    found += [*likely_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
     return tuple(sorted(found, key=lambda f: rank[f.severity]))
-
-
-def _minutes(times_s: Iterable[float]) -> str:
-    return ", ".join(f"{t / 60:g}" for t in times_s) + " min"
 
 
 def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
@@ -133,7 +113,7 @@ def _outside(dataset: DataSet, ambient_C: float, band: Corridor | None) -> Itera
         many = f"at {int(out.sum())} of {len(out)} instants"
         title = f"The one-time curve of {run.sample} at {ambient_C:+g} °C lies outside its own corridor {many}"
         detail = (
-            f"Outside mean ± 2S at {_minutes(band.at[out])}; worst at {band.at[worst] / 60:g} min: "
+            f"Outside mean ± 2S at {minutes(band.at[out])}; worst at {band.at[worst] / 60:g} min: "
             f"{values[worst]:.2f} V against {band.mean[worst]:.2f} ± {band.C[worst]:.2f} V "
             f"({values[worst] - band.mean[worst]:+.2f} V, {score[worst]:+.1f} S). "
             f"A model fitted to that curve cannot pass this corridor."
@@ -151,11 +131,11 @@ def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
         bad = [p for p in pooled if not p.may_pool]
         if bad:
             by_t, by_F = [p for p in bad if p.t > p.t_critical], [p for p in bad if p.t <= p.t_critical]
-            reasons = [f"Student's t exceeds its limit at {_minutes(p.time_s for p in by_t)}"] * bool(by_t)
-            reasons += [f"the variances differ too much (F) at {_minutes(p.time_s for p in by_F)}"] * bool(by_F)
+            reasons = [f"Student's t exceeds its limit at {minutes(p.time_s for p in by_t)}"] * bool(by_t)
+            reasons += [f"the variances differ too much (F) at {minutes(p.time_s for p in by_F)}"] * bool(by_F)
             rebuilt = " (figures of sample 2 rebuilt from the printed means and variances)" * bool(replay.agreements)
             title = (f"The {NAMES[quantity]} of the samples may not be pooled at "
-                     f"{_minutes(p.time_s for p in bad)}, by the study's own rules")  # fmt: skip
+                     f"{minutes(p.time_s for p in bad)}, by the study's own rules")  # fmt: skip
             numbers = {f"minute_{p.time_s / 60:g}": p.t for p in bad}
             detail = "; ".join(reasons) + rebuilt * (quantity == "surface_C") + "."
             chance = f" With {len(pooled)} instants and {len(replay.samples)} samples some of that is chance."
@@ -202,44 +182,12 @@ def _drift(levels: Levels) -> Iterator[Finding]:
     way, at = "down" if sizes[most] < 0 else "up", levels.time_s[drifting]
     title = f"The {NAMES[levels.quantity]} drifts from run to run: it steps {way} after run {last}"
     detail = (
-        f"Abbe's test finds drift at {_minutes(at)} (smallest p = {np.nanmin(p):.1g}). The largest step is "
+        f"Abbe's test finds drift at {minutes(at)} (smallest p = {np.nanmin(p):.1g}). The largest step is "
         f"{sizes[most]:+.3f} {unit} at {at[most] / 60:g} min; p = {step.p_value:.2g} for a step at any place. "
         f"The repeats are not one population, and the first-to-last rule does not see it."
     )
     numbers = {"after_run": last, "instants": len(drifting), "step": float(sizes[most]), "p_value": step.p_value}
     yield Finding("drift", title, detail, "serious", numbers)
-
-
-def _inconsistent(levels: Levels) -> Iterator[Finding]:
-    for f in inconsistencies(levels):
-        at = levels.time_s[list(f.instants)]
-        when = (_minutes(at), f"{levels.time_s[f.worst] / 60:g}")
-        told = words(f, NAMES[levels.quantity], UNITS[levels.quantity], *when)
-        numbers = {"instants": at.size, "statistic": f.statistic, "critical_1": f.critical}
-        yield Finding(f"inconsistent_{f.kind}", *told, "warning" if f.is_certain else "note", numbers)
-
-
-def _outliers(levels: Levels) -> Iterator[Finding]:
-    for j, sample in enumerate(levels.samples):
-        table = levels.curves(j)
-        if len(table) < 6:
-            continue
-        runs = [o for o, row in zip(levels.occasions, levels.values[:, j], strict=True) if not np.isnan(row).any()]
-        for i, t in enumerate(levels.time_s):
-            for index, side, G, limit in _beyond(table[:, i]):
-                where = f"{t / 60:g} min ({NAMES[levels.quantity]})"
-                title = f"Run {runs[index]} of sample {sample} is an outlier at {where}"
-                value = f"{table[index, i]:g} {UNITS[levels.quantity]}"
-                detail = f"{value} is too {side}: Grubbs {G:.3f} > {limit:.3f} (1 %)."
-                yield Finding("outlier", title, detail, "note", {"run": runs[index], "minute": t / 60, "G": G})
-
-
-def _beyond(values: Array) -> Iterator[tuple[int, str, float, float]]:
-    g = outliers.grubbs(values)
-    if g.verdict_high == "outlier":
-        yield g.index_high, "high", g.statistic_high, g.critical_1
-    if g.verdict_low == "outlier":
-        yield g.index_low, "low", g.statistic_low, g.critical_1
 
 
 def _step(dataset: DataSet, quantity: str) -> float | None:
@@ -255,7 +203,7 @@ def _two_groups(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
         found = [bimodality(column, _step(dataset, levels.quantity)) for column in table.T]
         split = [i for i, b in enumerate(found) if b.bimodal]
         if split:
-            name, unit, when = NAMES[levels.quantity], UNITS[levels.quantity], _minutes(levels.time_s[split])
+            name, unit, when = NAMES[levels.quantity], UNITS[levels.quantity], minutes(levels.time_s[split])
             title = f"The {name} of sample {sample} falls into two groups at {when}"
             gaps = "; ".join(f"{levels.time_s[i] / 60:g} min: {found[i].groups[0]} and {found[i].groups[1]} results "
                              f"{found[i].gap:.2g} {unit} apart" for i in split)  # fmt: skip
@@ -270,25 +218,10 @@ def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
     cells = [np.concatenate(levels.cells(i)) for i in range(len(levels.time_s))]
     coarse = [i for i, c in enumerate(cells) if resolution(c, step).coarse]
     if coarse:
-        title = f"The {NAMES[levels.quantity]} was read too coarsely at {_minutes(levels.time_s[coarse])}"
+        title = f"The {NAMES[levels.quantity]} was read too coarsely at {minutes(levels.time_s[coarse])}"
         steps = f"two steps of {step:g} {UNITS[levels.quantity]}"
         detail = f"There the spread is below {steps}: it comes from the meter as much as from the pack."
         yield Finding("coarse_resolution", title, detail, "note", {"instants": len(coarse), "step": step})
-
-
-def _misprints(readings: Readings) -> Iterator[Finding]:
-    """Find single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
-    for group in quasi_replicates(readings.series, readings.broken):
-        for i, t in enumerate(group.time_s):
-            for index, side, G, limit in _beyond(group.residuals[:, i]):
-                T = float(group.ambients_C[index])
-                value, off = group.line(T)[i] + group.residuals[index, i], group.residuals[index, i]
-                title = f"One reading is likely a misprint: {T:+g} °C, {t / 60:g} min, {value:.2f} V"
-                low, high = group.ambients_C[[0, -1]]
-                detail = (f"{abs(off):.2f} V too {side} for the line through its neighbours at {low:g} to {high:g} °C "
-                          f"(Grubbs {G:.3f} > {limit:.3f}, 1 %). It is flagged, not changed.")  # fmt: skip
-                numbers = {"ambient_C": T, "time_s": float(t), "off_V": float(off)}
-                yield Finding("likely_misprint", title, detail, "warning", numbers)
 
 
 def _breaks(readings: Readings) -> Iterator[Finding]:
