@@ -73,7 +73,7 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """Read the rows of one battery as numpy columns instead of objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _kind_and_rows(*content_of(Path(path)))
+    _, log = _kind_and_rows(*content_of(Path(path)), has_route=False)
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
@@ -166,21 +166,26 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _kind_and_rows(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
-    """Return the kind of a log and its rows. Raises BadInput if it is no log or has no rows."""
+def _kind_and_rows(
+    source: str, data: Content, system: int | None = None, has_route: bool = True
+) -> tuple[str, LogBuilder]:
+    """Return the kind of a log and its rows, of a tlog with route and place if `has_route`.
+
+    Raises BadInput if it is no log or has no rows.
+    """
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
     if system is not None and kind != "tlog":
         raise UsageError(f"{source}: system {system}: only a .tlog holds several vehicles, this is a log of one")
-    log = _reader(kind, system)(source, data)
+    log = _reader(kind, system, has_route)(source, data)
     if not (log.rows or log.columns):
         dropped = "; ".join(log.all_notes())
         raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
     return kind, log
 
 
-def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilder]:
+def _reader(kind: str, system: int | None, has_route: bool) -> Callable[[str, Content], LogBuilder]:
     """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
         from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
@@ -189,7 +194,7 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
     if kind == "tlog":
         from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
 
-        return lambda source, data: read_tlog(source, data, system)
+        return lambda source, data: read_tlog(source, data, system, has_route)
     if kind == "dataflash-text":
         from uavbatt.telemetry.formats.dataflash_text import read_dataflash_text
 

@@ -45,8 +45,10 @@ class _Beats(NamedTuple):
     is_px4: Mask
 
 
-def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) -> LogBuilder:
+def read_tlog(source: str, data: bytes | memoryview, system: int | None = None, has_route: bool = True) -> LogBuilder:
     """Read all batteries' rows and the parameters of one autopilot in a tlog: of `system`, else of the first.
+
+    has_route : read route and place as well, which takes several times as long as the batteries.
 
     Raises UsageError when no autopilot of that system speaks of a battery in the log named `source`.
     """
@@ -71,7 +73,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
     _add_parameters(own, time_s, beats, log)
     _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
-    if chosen != _NOBODY:
+    if chosen != _NOBODY and has_route:
         clock = TlogClock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
         log.navigation = navigation(found, of_source, chosen, clock, log.parameters)
     return log
