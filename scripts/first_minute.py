@@ -23,7 +23,7 @@ from scoring.progress import progress
 from scoring.table import Table
 
 if TYPE_CHECKING:
-    from scoring.first_intervals import FirstBelief
+    from scoring.first_intervals import EarlyIntervals
 
 PARTS: dict[str, Callable[[int], bool]] = {
     "tuned": lambda number: number % 2 == 0,
@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--each", action="store_true", help="also a line for each flight")
     given = parser.parse_args(arguments)
     say = progress(time.monotonic())
-    found: list[first_intervals.FirstBelief] = []
+    found: list[first_intervals.EarlyIntervals] = []
     try:
         folder = data.folder()
         kinds = {"generic": first_intervals.generic, "fitted": first_intervals.fitted}
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _line(first: FirstBelief) -> str:
+def _line(first: EarlyIntervals) -> str:
     from scoring.first_intervals import AFTER_S
 
     said = " ".join(
@@ -72,7 +72,7 @@ def _line(first: FirstBelief) -> str:
     return f"{first.of:24} {first.name:30} {said}  {'end' if first.is_end else 'last'} {first.end_s}"
 
 
-def _table(firsts: list[FirstBelief], part: str) -> Table:
+def _table(firsts: list[EarlyIntervals], part: str) -> Table:
     from scoring.first_intervals import AFTER_S
 
     groups = {name: [f for f in firsts if f.of == name] for name in dict.fromkeys(f.of for f in firsts)}

@@ -51,8 +51,8 @@ class Set:
 
 
 @dataclass(frozen=True, slots=True)
-class FirstBelief:
-    """FirstBelief holds a flight's early intervals [log time, s] and its end: an instant, or the last interval."""
+class EarlyIntervals:
+    """EarlyIntervals holds a flight's early intervals [log time, s] and its end: an instant, or the last interval."""
 
     of: str
     name: str
@@ -100,7 +100,7 @@ def fitted(data: Path) -> Iterator[Set]:
     yield Set("packs, fitted battery", packs, battery, UnknownAircraft(), TRUTH_PACK, _pack_ends_s(data))
 
 
-def firsts(flown: Set, is_wanted: Callable[[int], bool], say: Callable[[str], None]) -> Iterator[FirstBelief]:
+def firsts(flown: Set, is_wanted: Callable[[int], bool], say: Callable[[str], None]) -> Iterator[EarlyIntervals]:
     """Yield the early intervals of the wanted flights of a set, chosen by their number in it."""
     for number, path in enumerate(flown.paths):
         if is_wanted(number):
@@ -114,7 +114,7 @@ def firsts(flown: Set, is_wanted: Callable[[int], bool], say: Callable[[str], No
                 yield found
 
 
-def _first(flown: Set, path: Path) -> FirstBelief | None:
+def _first(flown: Set, path: Path) -> EarlyIntervals | None:
     flight = read_log(path)
     begin_s = next((s.time_s for s in flight.samples if s.current_A > LOADED_A), math.nan)
     pack = STATED.get(path.name, flown.pack)
@@ -129,8 +129,8 @@ def _first(flown: Set, path: Path) -> FirstBelief | None:
     shown = tuple(_in_force(run, said[0].time_s + after_s) for after_s in AFTER_S)
     name = f"{path.parent.name}/{path.stem}"
     if math.isfinite(end_s):
-        return FirstBelief(flown.name, name, shown, (end_s, end_s), True)
-    return FirstBelief(flown.name, name, shown, _ends(said[-1]), False)
+        return EarlyIntervals(flown.name, name, shown, (end_s, end_s), True)
+    return EarlyIntervals(flown.name, name, shown, _ends(said[-1]), False)
 
 
 def _end_s(flight: Flight, cutoff_V: float) -> float:
