@@ -55,6 +55,12 @@ class Grubbs:
     index_high: int
     index_low: int
 
+    @property
+    def ends(self) -> list[tuple[float, int, Verdict]]:
+        """Return statistic, index and verdict of both ends, the farther one first."""
+        high = (self.statistic_high, self.index_high, self.verdict_high)
+        return sorted([high, (self.statistic_low, self.index_low, self.verdict_low)], reverse=True)
+
 
 @dataclass(frozen=True, slots=True)
 class DoubleGrubbs:
@@ -105,8 +111,17 @@ def cochran_critical(p: int, n: float, alpha: float) -> float:
     """Return Cochran's critical value 1/(1+(p-1)/F), F = F(1-α/p; n-1, (p-1)(n-1)); exact above one half."""
     if p < 2 or n < 2:
         return math.nan
-    F = float(stats.f.ppf(1 - alpha / p, n - 1, (p - 1) * (n - 1)))
-    return 1 / (1 + (p - 1) / F)
+    return variance_share_critical(n - 1, (p - 1) * (n - 1), p, alpha)
+
+
+def variance_share_critical(df: float, others_df: float, p: int, alpha: float) -> float:
+    """Return the critical value of one sample's share in the sum of squares of `p` samples, 1/(1+(f'/f)/F).
+
+    df, others_df : degrees of freedom f of the sample and f' of the others together; F = F(1-α/p; f, f'). For equal
+    numbers it is Cochran's, for others that of 't Lam 2010, Analytica Chimica Acta 659, 68.
+    """
+    F = float(stats.f.ppf(1 - alpha / p, df, others_df))
+    return 1 / (1 + others_df / df / F)
 
 
 def grubbs_critical(p: int, alpha: float) -> float:
@@ -264,9 +279,7 @@ def scrutinise(cells: Cells) -> Scrutiny:
     if summary.p < 3:
         return Scrutiny(mandel(cells), variance_test, None, None, None)
     single = grubbs(means)
-    high = (single.statistic_high, single.index_high, single.verdict_high)
-    low = (single.statistic_low, single.index_low, single.verdict_low)
-    found = [index for _, index, verdict in sorted((high, low), reverse=True) if verdict != "ok"]
+    found = [index for _, index, verdict in single.ends if verdict != "ok"]
     retest = grubbs(np.delete(means, found[0])) if found and summary.p > 3 else None
     double = double_grubbs(means) if not found and summary.p > 3 else None
     return Scrutiny(mandel(cells), variance_test, single, double, retest)

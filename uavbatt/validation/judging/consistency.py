@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from uavbatt.dataset import Levels
 from uavbatt.validation.iso5725 import outliers
@@ -15,7 +14,7 @@ from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 
 OUTLIER = 0.01  # the level at which ISO 5725-2 calls a sample an outlier, for one instant
 
-Kind = Literal["scatter", "mean"]
+Inconsistent = Literal["scatter", "mean"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,7 @@ class Inconsistency:
     results. `is_certain` tells that it passes the limit even if that is divided among all instants.
     """
 
-    kind: Kind
+    kind: Inconsistent
     sample: str
     instants: tuple[int, ...]
     worst: int
@@ -54,7 +53,7 @@ def inconsistencies(levels: Levels) -> Iterator[Inconsistency]:
     samples but one show no scatter at all, the resolution of the meter decides, and nothing is said.
     """
     instants = range(levels.time_s.size)
-    kinds: tuple[Kind, ...] = ("scatter", "mean")
+    kinds: tuple[Inconsistent, ...] = ("scatter", "mean")
     for kind in kinds:
         test = _scatter if kind == "scatter" else _mean
         found = {i: one for i in instants if (one := test(_cells(levels, i), len(instants))) is not None}
@@ -87,8 +86,8 @@ def _cells(levels: Levels, instant: int) -> list[Array]:
 def _scatter(cells: list[Array], instants: int) -> _Found | None:
     """Return the sample with an outlying variance at one instant, if there is one.
 
-    Numbers of results may differ: the share of a sample in the sum of squares is compared with its own critical value
-    ('t Lam 2010, Analytica Chimica Acta 659, 68). For equal numbers that is Cochran's test.
+    Numbers of results may differ: the share of a sample in the sum of squares is compared with its own critical value.
+    For equal numbers that is Cochran's test.
     """
     df = np.array([len(c) - 1.0 for c in cells])
     squares = np.array([float(np.sum((c - np.mean(c)) ** 2)) if len(c) > 1 else 0.0 for c in cells])
@@ -97,8 +96,7 @@ def _scatter(cells: list[Array], instants: int) -> _Found | None:
         return None
 
     def critical(j: int, level: float) -> float:
-        F = float(stats.f.ppf(1.0 - level / repeated.size, df[j], all_df - df[j]))
-        return float(1.0 / (1.0 + (all_df - df[j]) / df[j] / F))
+        return outliers.variance_share_critical(df[j], all_df - df[j], repeated.size, level)
 
     j = max((int(j) for j in repeated), key=lambda j: squares[j] / whole / critical(j, OUTLIER))
     share, limit = squares[j] / whole, critical(j, OUTLIER)
@@ -115,9 +113,7 @@ def _mean(cells: list[Array], instants: int) -> _Found | None:
         return None
     means = np.array([float(np.mean(cells[j])) for j in measured])
     test = outliers.grubbs(means)
-    high = (test.statistic_high, test.index_high, test.verdict_high)
-    low = (test.statistic_low, test.index_low, test.verdict_low)
-    statistic, index, verdict = max(high, low)
+    statistic, index, verdict = test.ends[0]
     if verdict != "outlier":
         return None
     strict = outliers.grubbs_critical(means.size, OUTLIER / instants)
