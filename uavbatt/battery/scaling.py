@@ -185,8 +185,8 @@ def pack_of(
     installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
-    unknown, of_fleet = file.status == "generic", _is_of_fleet(file)
-    service_reaction_sd_V = FLEET_REACTION_SD_V if of_fleet else SERVICE_REACTION_SD_V
+    unknown = file.status == "generic"
+    resistance_scale_sd, reaction_sd_V = _service_spread(file)
     ocv_sd_V = _ocv_sd_V(file)
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
@@ -195,14 +195,12 @@ def pack_of(
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
-        resistance_scale_sd=file.parameters.resistance_scale_sd
-        if of_fleet
-        else math.hypot(file.parameters.resistance_scale_sd * widening, SERVICE_RESISTANCE_SD),
+        resistance_scale_sd=resistance_scale_sd,
         capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, UNKNOWN_MAKE_BIAS_TAU_S if unknown else SERVICE_BIAS_TAU_S),
-        reaction_sd_V=UNKNOWN_MAKE_REACTION_SD_V if unknown else service_reaction_sd_V,
+        reaction_sd_V=reaction_sd_V,
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
@@ -215,11 +213,14 @@ def pack_of(
     )
 
 
-def _is_of_fleet(file: BatteryFile) -> bool:
-    """Return True if the file was fitted to flights of packs that differ as packs in service do."""
+def _service_spread(file: BatteryFile) -> tuple[float, float]:
+    """Return the sds of ln of the resistance scale and of the reaction's drop [V] over packs in service."""
     table = file.parameters
-    flights = table.spread_flights or 0
-    return file.status == "fitted" and flights >= FLEET_FLIGHTS and table.resistance_scale_sd >= FLEET_RESISTANCE_SD
+    has_fleet = (table.spread_flights or 0) >= FLEET_FLIGHTS and table.resistance_scale_sd >= FLEET_RESISTANCE_SD
+    if file.status == "fitted" and has_fleet:
+        return table.resistance_scale_sd, FLEET_REACTION_SD_V
+    scale_sd = math.hypot(table.resistance_scale_sd * WIDENING[file.status], SERVICE_RESISTANCE_SD)
+    return scale_sd, UNKNOWN_MAKE_REACTION_SD_V if file.status == "generic" else SERVICE_REACTION_SD_V
 
 
 def _ocv_sd_V(file: BatteryFile) -> Array:
