@@ -161,7 +161,7 @@ class Announcer:
         held = {kind_of(warning) for warning in report.estimate.warnings} if shown.status is not Status.STALE else set()
         for severity, kind, threshold_s, _ in due:
             if kind is None and speaks_first and shown.at_worst_s <= REARM * threshold_s:
-                said.append((severity, f"{_minutes(shown.at_worst_s)} left at worst"))
+                said.append((severity, _left(shown.at_worst_s)))
             if kind is not None and kind in held:
                 said.append((severity, WARNINGS[kind]))
         return self._named(said)
@@ -184,7 +184,7 @@ class Announcer:
         if min(crossed) <= AGAIN_BELOW_S:
             self._again = [r for r in self._again if r.kind is not None]  # this alarm replaces the one before
             self._again += [Repeat(severity, None, min(crossed), now_s + after_s) for after_s in AGAIN_AFTER_S]
-        return [(severity, f"{_minutes(left_s)} left at worst")]
+        return [(severity, _left(left_s))]
 
     def _loss(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
         if math.isnan(self._lost_s):
@@ -249,5 +249,5 @@ def _fitting(text: str, longest: int) -> str:
     return whole or text[:longest]
 
 
-def _minutes(left_s: float) -> str:
-    return f"{int(left_s) // 60}:{int(left_s) % 60:02d} min"
+def _left(left_s: float) -> str:
+    return f"{int(left_s) // 60}:{int(left_s) % 60:02d} min left at worst"

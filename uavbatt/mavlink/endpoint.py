@@ -47,6 +47,11 @@ class Link(Protocol):
         """Release the sockets."""
 
 
+def unusable(at: Endpoint, error: OSError) -> UsageError:
+    """Return the error that names an endpoint and why the system refuses it."""
+    return UsageError(f"endpoint `{at.text}`: {error.strerror or error}")
+
+
 def parse(text: str) -> Endpoint:
     """Return an endpoint string taken apart. Raises UsageError that says what was expected."""
     forms = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or DEVICE,BAUD"

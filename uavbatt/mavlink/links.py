@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from uavbatt.errors import UsageError
-from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
+from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse, unusable
 from uavbatt.mavlink.pipe import LARGEST_READ, Pipe, watched
 from uavbatt.mavlink.resolver import Resolver, address_of, family_of
 from uavbatt.mavlink.tcp_server import TcpServer
@@ -73,14 +73,14 @@ class UdpLink:
             self._address = (address_of(at.host), at.port)
             self._socket = socket.socket(family_of(self._address[0]), socket.SOCK_DGRAM)
         except OSError as error:
-            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+            raise unusable(at, error) from None
         self._socket.setblocking(False)
         try:
             if not self._fixed:
                 self._socket.bind(self._address)
         except OSError as error:
             self._socket.close()
-            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+            raise unusable(at, error) from None
 
     def filenos(self) -> Iterator[int]:
         """Yield the one socket."""

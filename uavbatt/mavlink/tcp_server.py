@@ -12,8 +12,7 @@ import math
 import socket
 from collections.abc import Iterator
 
-from uavbatt.errors import UsageError
-from uavbatt.mavlink.endpoint import Chunk, Endpoint
+from uavbatt.mavlink.endpoint import Chunk, Endpoint, unusable
 from uavbatt.mavlink.pipe import Pipe, watched
 from uavbatt.mavlink.resolver import address_of, family_of
 
@@ -37,7 +36,7 @@ class TcpServer:
             is_both = address == "::" and socket.has_dualstack_ipv6()  # a datagram socket on :: hears both
             self._socket = socket.create_server((address, at.port), family=family_of(address), dualstack_ipv6=is_both)
         except OSError as error:
-            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+            raise unusable(at, error) from None
         self._socket.setblocking(False)
 
     def filenos(self) -> Iterator[int]:
