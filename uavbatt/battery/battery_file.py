@@ -140,10 +140,10 @@ def _let_through(file: BatteryFile) -> BatteryFile:
     """Return the file with the status `edited`; claims about other content are removed, failed claims stay."""
     actual = content_hash(file)
     if file.certificate.content_sha256 != actual:
-        made = msgspec.structs.replace(file.certificate, verdicts=[], statistics={}, validated_ambient_C=[])
+        certificate = msgspec.structs.replace(file.certificate, verdicts=[], statistics={}, validated_ambient_C=[])
     else:
-        made = file.certificate
-    edited = msgspec.structs.replace(made, status="edited", content_sha256=actual)
+        certificate = file.certificate
+    edited = msgspec.structs.replace(certificate, status="edited", content_sha256=actual)
     return msgspec.structs.replace(file, certificate=edited)
 
 
@@ -181,8 +181,8 @@ def _check_values(file: BatteryFile, origin: str) -> None:
         raise BadInput(origin, "parameters.ocv_V", "a voltage that rises with the charge")
     knots = zip(pairwise(table.ocv_soc), pairwise(table.ocv_V), strict=True)
     if any((d - c) > STEEPEST_V * (b - a) for (a, b), (c, d) in knots):
-        said = f"no step steeper than {STEEPEST_V:g} V per unit of charge"
-        raise BadInput(origin, "parameters.ocv_V", said)
+        expected = f"no step steeper than {STEEPEST_V:g} V per unit of charge"
+        raise BadInput(origin, "parameters.ocv_V", expected)
     for name in ("cutoff_V", "low_V"):
         volts = getattr(file.battery, name)
         if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
@@ -201,10 +201,10 @@ def _check_values(file: BatteryFile, origin: str) -> None:
 
 
 def _check_effect(entry: EffectEntry, origin: str) -> None:
-    known = EFFECTS.get(entry.name)
-    if known is None:
+    effect = EFFECTS.get(entry.name)
+    if effect is None:
         raise BadInput(origin, f"effects: {entry.name}", f"one of {', '.join(EFFECTS)}")
-    bounds = {q.name: (q.low, q.high) for q in known.quantities}
+    bounds = {q.name: (q.low, q.high) for q in effect.quantities}
     for name, value in entry.parameters.items():
         if name not in bounds:
             raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")

@@ -60,8 +60,8 @@ def joint(
     Before a flight (`may_be_full`) the habit of flying full packs weighs in: the mixture of "just charged" (FULL_SHARE,
     FULL_SD, `full_share` of the discrepancy) and "any charge", by its moments.
     """
-    read = charge_at(p, emf_V, math.hypot(reading_sd_V, bias_sd_V))
-    any_charge = _after_reading(p, emf_V, read.soc, ANY_SD, reading_sd_V, bias_sd_V)
+    reading = charge_at(p, emf_V, math.hypot(reading_sd_V, bias_sd_V))
+    any_charge = _after_reading(p, emf_V, reading.soc, ANY_SD, reading_sd_V, bias_sd_V)
     if not may_be_full:
         return any_charge.mean, any_charge.covariance
     as_full = _after_reading(p, emf_V, 1.0, FULL_SD, reading_sd_V, full_share * bias_sd_V)

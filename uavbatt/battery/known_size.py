@@ -46,8 +46,8 @@ class KnownSize(NamedTuple):
 
     def with_facts(self, facts: PackFacts) -> KnownSize:
         """Return this with `facts`, what the vehicle says from now on; a size that was known is worked out anew."""
-        known = self._replace(facts=facts)
-        return known._with_counts()._with_size() if self.size is not None else known
+        updated = self._replace(facts=facts)
+        return updated._with_counts()._with_size() if self.size is not None else updated
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
         """Return the size and its doubts after one more row, `raw` as it came and `sample` after cleaning."""
@@ -57,18 +57,18 @@ class KnownSize(NamedTuple):
         statements = self.statements.after(raw, sample, size)
         before, voltages = self.statements.voltages, statements.voltages
         first_A = self.first_A if self.statements.rows else sample.current_A
-        known = self._replace(statements=statements, size=size, first_A=first_A)
+        updated = self._replace(statements=statements, size=size, first_A=first_A)
         if voltages is not before:
-            known = known._with_counts()
+            updated = updated._with_counts()
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
             if is_denied or (math.isnan(before.rested_V) and math.isfinite(voltages.rested_V)):
-                known = known._with_size()  # another count, or a cut-off that lies above the rested voltage
-        is_first = statements.rows == 1 and math.isnan(known.rested_V)
-        if is_first or (statements.rows == SURE_ROWS and known.rested_V == before.rested_V != voltages.rested_V):
-            known = known._replace(rested_V=voltages.rested_V)._with_size()  # the cells may be of another kind
-        sized = known.size or size
-        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *known._count_doubts(sized))
-        return known if doubts == known.doubts else known._replace(doubts=doubts)
+                updated = updated._with_size()  # another count, or a cut-off that lies above the rested voltage
+        is_first = statements.rows == 1 and math.isnan(updated.rested_V)
+        if is_first or (statements.rows == SURE_ROWS and updated.rested_V == before.rested_V != voltages.rested_V):
+            updated = updated._replace(rested_V=voltages.rested_V)._with_size()  # the cells may be of another kind
+        sized = updated.size or size
+        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *updated._count_doubts(sized))
+        return updated if doubts == updated.doubts else updated._replace(doubts=doubts)
 
     def by_voltage(self, coming: Iterable[Sample]) -> PackSize | None:
         """Return the size by the first voltage of some samples; None without one."""

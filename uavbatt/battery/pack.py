@@ -80,8 +80,8 @@ def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) ->
     It is a smaller cell under the same current: its C-rate is higher, and with it every drop.
     """
     more = 1.0 / (1.0 - pack.deficit)
-    its = State(weak_soc(pack, s.soc), s.polarisation_V * more, s.diffusion_V * more, s.core_C, s.sensor_C)
-    return model.cell_voltage(p, its, c_rate * more)
+    weak = State(weak_soc(pack, s.soc), s.polarisation_V * more, s.diffusion_V * more, s.core_C, s.sensor_C)
+    return model.cell_voltage(p, weak, c_rate * more)
 
 
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:

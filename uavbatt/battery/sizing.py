@@ -88,8 +88,8 @@ class PackSize:
 
     def numbers(self) -> dict[str, int | float | str]:
         """Return the numbers of the pack, each with where it came from, by the names that every summary uses."""
-        stated = ("cells", "capacity_Ah", "cutoff_V", "low_V")
-        return {name: getattr(self, name) for of in stated for name in (of, f"{of.partition('_')[0]}_from")}
+        fields = ("cells", "capacity_Ah", "cutoff_V", "low_V")
+        return {name: getattr(self, name) for of in fields for name in (of, f"{of.partition('_')[0]}_from")}
 
     @property
     def words(self) -> str:
@@ -102,8 +102,8 @@ class PackSize:
 
 def size_of_pack(
     battery: BatteryFile,
-    given: PackOptions,
-    said: PackFacts,
+    options: PackOptions,
+    facts: PackFacts,
     guessed_cells: int,
     guessed_from: str = GUESSED_FROM,
     voltages: FirstVoltages = FirstVoltages(),
@@ -117,20 +117,20 @@ def size_of_pack(
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
-    cells, cells_from, cells_notices = _cells(given, said, guess, voltages, resting(battery))
+    cells, cells_from, cells_notices = _cells(options, facts, guess, voltages, resting(battery))
     if cells_notices:  # PX4 works out its critical voltage from its count of cells
-        said = replace(said, critical_voltage_V=NAN)
-    why_not = why_no_capacity(battery, given, said)
+        facts = replace(facts, critical_voltage_V=NAN)
+    why_not = why_no_capacity(battery, options, facts)
     if why_not:
         raise CapacityNotStated(why_not)
-    said, notices = possible_facts(said, cells, voltages)
-    capacity_Ah, capacity_from = _capacity(battery, given, said)
-    (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
+    facts, notices = possible_facts(facts, cells, voltages)
+    capacity_Ah, capacity_from = _capacity(battery, options, facts)
+    (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, options, facts, cells)
     doubts = [
-        ending_doubt("cut-off ", given.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
-        ending_doubt("low-voltage warning at ", given.low_V, cells, kind=Kind.LOW_VOLTAGE),
+        ending_doubt("cut-off ", options.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
+        ending_doubt("low-voltage warning at ", options.low_V, cells, kind=Kind.LOW_VOLTAGE),
     ]
-    fullest_V = max(fullest_cell_V(rested_V, cells), given.fullest_cell_V)
+    fullest_V = max(fullest_cell_V(rested_V, cells), options.fullest_cell_V)
     return PackSize(
         battery=typed.name,
         status=battery.status,
@@ -155,41 +155,43 @@ def size_of_pack(
     )
 
 
-def why_no_capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> str:
+def why_no_capacity(battery: BatteryFile, options: PackOptions, facts: PackFacts) -> str:
     """Return why nobody states the capacity, with what was not believed of the vehicle; empty where it is stated."""
-    doubt = capacity_doubt(said.capacity_Ah)
-    vehicle_Ah = said.capacity_Ah if doubt is None else NAN
-    if math.isfinite(_capacity(battery, given, replace(said, capacity_Ah=vehicle_Ah))[0]):
+    doubt = capacity_doubt(facts.capacity_Ah)
+    vehicle_Ah = facts.capacity_Ah if doubt is None else NAN
+    if math.isfinite(_capacity(battery, options, replace(facts, capacity_Ah=vehicle_Ah))[0]):
         return ""
     why = f"{CAPACITY} {doubt.words}: not used; " if doubt is not None else ""
-    by = _by(given.names.capacity)
+    by = _by(options.names.capacity)
     return f"{why}capacity: neither the vehicle nor battery `{battery.battery.name}` states one: give {by}"
 
 
-def capacity_since_s(battery: BatteryFile, given: PackOptions, said: Iterable[tuple[float, PackFacts]]) -> float:
+def capacity_since_s(
+    battery: BatteryFile, options: PackOptions, statements: Iterable[tuple[float, PackFacts]]
+) -> float:
     """Return since when the capacity is stated [s], by what the vehicle says in order of time; infinite if it never is.
 
     A ground station records rows first, parameters after. Minus infinity where caller or battery file states it.
     """
-    stated = ((-math.inf, PackFacts()), *said)
-    return next((time_s for time_s, facts in stated if not why_no_capacity(battery, given, facts)), math.inf)
+    changes = ((-math.inf, PackFacts()), *statements)
+    return next((time_s for time_s, stated in changes if not why_no_capacity(battery, options, stated)), math.inf)
 
 
 def counts_of_cells(
-    battery: BatteryFile, given: PackOptions, said: PackFacts, volts: float, current_A: float
+    battery: BatteryFile, options: PackOptions, facts: PackFacts, volts: float, current_A: float
 ) -> tuple[int, ...]:
     """Return the counts of cells that fit a voltage [V] under a current [A, NaN if unknown], the likeliest first."""
-    capacity_Ah = given.capacity_Ah if math.isfinite(given.capacity_Ah) else said.capacity_Ah
+    capacity_Ah = options.capacity_Ah if math.isfinite(options.capacity_Ah) else facts.capacity_Ah
     rate = current_A / capacity_Ah if math.isfinite(current_A) and capacity_Ah > 0.0 else 0.0
-    return cells_from_voltage(volts, battery.battery.cells_series, said.endings_V, rate)
+    return cells_from_voltage(volts, battery.battery.cells_series, facts.endings_V, rate)
 
 
-def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
+def pack_from(battery: BatteryFile, options: PackOptions) -> Pack:
     """Return the battery file scaled to a pack whose size the caller states; what he leaves out is the file's.
 
     Raises UsageError when neither states the capacity.
     """
-    return sized(battery, size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file"))
+    return sized(battery, size_of_pack(battery, options, PackFacts(), battery.battery.cells_series, "battery file"))
 
 
 def sized(battery: BatteryFile, size: PackSize) -> Pack:
@@ -218,13 +220,13 @@ def resting(battery: BatteryFile) -> Resting:
     return Resting(max(empty_V - RESTING_SLACK_V, LOWEST_CELL_V), min(low_V, LITTLE_CELL_V))
 
 
-def possible_facts(said: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
+def possible_facts(facts: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
     """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
-    capacity = capacity_doubt(said.capacity_Ah)
-    volts, what = said.critical_voltage_V, "critical voltage of the vehicle, "
-    critical = ending_doubt(what, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
-    what = "low-voltage warning of the vehicle, "
-    low = ending_doubt(what, said.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
+    capacity = capacity_doubt(facts.capacity_Ah)
+    volts, name = facts.critical_voltage_V, "critical voltage of the vehicle, "
+    critical = ending_doubt(name, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
+    name = "low-voltage warning of the vehicle, "
+    low = ending_doubt(name, facts.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
     if capacity is not None:
         capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
 
@@ -232,35 +234,35 @@ def possible_facts(said: PackFacts, cells: int, voltages: FirstVoltages) -> tupl
         return NAN if doubt is not None and doubt.is_certain else value
 
     sound = replace(
-        said,
-        capacity_Ah=unless_impossible(said.capacity_Ah, capacity),
-        critical_voltage_V=unless_impossible(said.critical_voltage_V, critical),
-        low_voltage_V=unless_impossible(said.low_voltage_V, low),
+        facts,
+        capacity_Ah=unless_impossible(facts.capacity_Ah, capacity),
+        critical_voltage_V=unless_impossible(facts.critical_voltage_V, critical),
+        low_voltage_V=unless_impossible(facts.low_voltage_V, low),
     )
     doubts = [d for d in (capacity, critical, low) if d is not None]
     return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
 
 
-def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
-    """Return the capacity [Ah] and its source; `said` holds the vehicle's statements that are believed."""
+def _capacity(battery: BatteryFile, options: PackOptions, facts: PackFacts) -> tuple[float, str]:
+    """Return the capacity [Ah] and its source; `facts` holds the vehicle's statements that are believed."""
     typed_Ah = battery.battery.capacity_Ah
-    by = _by(given.names.capacity)
-    return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
+    by = _by(options.names.capacity)
+    return _first((options.capacity_Ah, by), (facts.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
 
 
 def _endings(
-    typed: Battery, given: PackOptions, said: PackFacts, cells: int
+    typed: Battery, options: PackOptions, facts: PackFacts, cells: int
 ) -> tuple[tuple[float, str], tuple[float, str]]:
     """Return the cut-off and the low-voltage warning of the pack [V], each with its source."""
     share = cells / typed.cells_series
     cutoff = _first(
-        (given.cutoff_V, _by(given.names.cutoff)),
-        (said.critical_voltage_V, "vehicle"),
+        (options.cutoff_V, _by(options.names.cutoff)),
+        (facts.critical_voltage_V, "vehicle"),
         (typed.cutoff_V * share, "battery file"),
     )
     low = _first(
-        (given.low_V, _by(given.names.low)),
-        (said.low_voltage_V, "vehicle"),
+        (options.low_V, _by(options.names.low)),
+        (facts.low_voltage_V, "vehicle"),
         (None if typed.low_V is None else typed.low_V * share, "battery file"),
         (NAN, "nobody"),
     )
@@ -268,21 +270,21 @@ def _endings(
 
 
 def _cells(
-    given: PackOptions, said: PackFacts, guess: tuple[int, str], voltages: FirstVoltages, cell: Resting
+    options: PackOptions, facts: PackFacts, guess: tuple[int, str], voltages: FirstVoltages, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
     """Return the count of cells, its source, and a notice if the vehicle's own count is not believed."""
-    if given.cells is not None:
-        by = _by(given.names.cells)
-        if said.cells_series in (None, given.cells):
-            return int(given.cells), by, ()
-        stated = f"{given.names.cells}{given.cells}"
-        notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
-        return int(given.cells), by, (Notice(notice, Kind.CELLS_OF_VEHICLE),)
-    if said.cells_series is None:
+    if options.cells is not None:
+        by = _by(options.names.cells)
+        if facts.cells_series in (None, options.cells):
+            return int(options.cells), by, ()
+        option = f"{options.names.cells}{options.cells}"
+        notice = f"{option}: the vehicle states {facts.cells_series}, whose critical voltage is not used"
+        return int(options.cells), by, (Notice(notice, Kind.CELLS_OF_VEHICLE),)
+    if facts.cells_series is None:
         return int(guess[0]), guess[1], ()
-    doubt = cells_doubt(said.cells_series, voltages, cell)
+    doubt = cells_doubt(facts.cells_series, voltages, cell)
     if doubt is None or not doubt.is_certain:
-        return said.cells_series, "vehicle", ()
+        return facts.cells_series, "vehicle", ()
     notice = f"the vehicle states {doubt.words}: not used, nor its critical voltage"
     return int(guess[0]), guess[1], (Notice(notice, Kind.CELLS_OF_VEHICLE),)
 

@@ -158,7 +158,7 @@ class Statements(NamedTuple):
         current, capacity_Ah = self.current, pack.capacity_Ah
         load, is_minute = current.load, current.load.loaded_s >= MINUTE_S
         may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # braking motors charge in flight
-        found = (
+        reasons = (
             Doubt(pack.refusal, True) if pack.refusal else None,
             cells_doubt(pack.cells, self.voltages, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
             SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
@@ -169,9 +169,9 @@ class Statements(NamedTuple):
             _unlike(load.power_W, *power_W) if is_minute and power_W is not None else None,
             IN_KELVIN if self.kelvin_rows >= SEVERAL_ROWS else None,
         )
-        if not any(found):
+        if not any(reasons):
             return ()
-        return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
+        return tuple(sorted((doubt for doubt in reasons if doubt is not None), key=lambda doubt: not doubt.is_certain))
 
     def denies(self, cells: int, resting: Resting) -> bool:
         """Return True if the voltages say for certain that there are not so many cells."""
@@ -236,30 +236,30 @@ def first_voltages(samples: Iterable[Sample], capacity_Ah: float = NAN) -> First
 
     Where the current is metered and no capacity is given, none counts as rested.
     """
-    found, start_s = Statements(), NAN
+    statements, start_s = Statements(), NAN
     for sample in samples:
         if not math.isfinite(sample.voltage_V):
             continue
-        start_s = start_s if found.rows else sample.time_s
+        start_s = start_s if statements.rows else sample.time_s
         is_idle = _is_idle(sample, capacity_Ah)
-        if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
+        if sample.time_s - start_s > FIRST_ROWS_S or (statements.rows >= SEVERAL_ROWS and not is_idle):
             break
-        found = found.with_voltage(sample.voltage_V, is_idle)
-    return found.voltages
+        statements = statements.with_voltage(sample.voltage_V, is_idle)
+    return statements.voltages
 
 
-def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
-    """Size the pack of a flight by its first rows and by what the vehicle says (`said`).
+def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, facts: PackFacts) -> PackSize:
+    """Size the pack of a flight by its first rows and by what the vehicle says (`facts`).
 
     Raises UsageError when there is no voltage, or when the first rows contradict what the caller states.
     """
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    guess = counts_of_cells(battery, options, said, first.voltage_V, first.current_A)[0]
+    guess = counts_of_cells(battery, options, facts, first.voltage_V, first.current_A)[0]
     try:
-        voltages = first_voltages(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
-        size = size_of_pack(battery, options, said, guess, voltages=voltages, rested_V=voltages.rested_V)
+        voltages = first_voltages(flight.samples, size_of_pack(battery, options, facts, guess).capacity_Ah)
+        size = size_of_pack(battery, options, facts, guess, voltages=voltages, rested_V=voltages.rested_V)
         return checked(battery, size, voltages)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
@@ -275,11 +275,11 @@ def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight)
 
 def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
     """Raise UsageError when a row of the flight contradicts the size of its pack for certain."""
-    found = Statements()
+    statements = Statements()
     for sample in flight.samples:
-        found = found.after(sample, sample, pack)
-        doubts = found.doubts(pack, resting)
-        if doubts and doubts[0].is_certain and found.rows >= SEVERAL_ROWS:
+        statements = statements.after(sample, sample, pack)
+        doubts = statements.doubts(pack, resting)
+        if doubts and doubts[0].is_certain and statements.rows >= SEVERAL_ROWS:
             raise UsageError(f"{flight.source}: {doubts[0].words}")
 
 

@@ -61,19 +61,19 @@ class Batch:
     @property
     def moving(self) -> Rows:
         """Return the columns that the refit of at least one candidate moves."""
-        found: Rows = np.flatnonzero(np.any(self.moves, axis=0))
-        return found
+        rows: Rows = np.flatnonzero(np.any(self.moves, axis=0))
+        return rows
 
     def has(self, column: int) -> NDArray[np.bool_]:
         """Return True for each candidate that has this column, [C]."""
         return np.array([column < len(c) for c in self.columns])
 
-    def fill_from(self, u: Array, given: Refit) -> None:
+    def fill_from(self, u: Array, fit: Refit) -> None:
         """Fill u [records, size] with the values of an earlier refit that has the same leading quantities."""
-        quantities = len(given.columns)
-        u[:, :quantities] = given.u
+        quantities = len(fit.columns)
+        u[:, :quantities] = fit.u
         if self.knots:
-            u[:, self.freed :] = given.knots
+            u[:, self.freed :] = fit.knots
 
     def values_of(self, u: Array, v: Array) -> tuple[Array, OwnValues]:
         """Return quantities [variants, C, records, Q] and own values for u [variants, C, records, P], v [.., 3]."""
@@ -121,22 +121,22 @@ class Batch:
 
         Residuals are zero where they are not `wanted` [variants, C].
         """
-        shown = self.simulated(us, vs, wanted)
-        found = whitened(self.problem.evidence, shown)
-        out = np.zeros((*wanted.shape, *found.shape[1:]))
-        out[wanted] = found
-        return out, shown.soc[:, : len(self.candidates)]
+        simulated = self.simulated(us, vs, wanted)
+        white = whitened(self.problem.evidence, simulated)
+        out = np.zeros((*wanted.shape, *white.shape[1:]))
+        out[wanted] = white
+        return out, simulated.soc[:, : len(self.candidates)]
 
     def slopes_on_knots(self, soc: Array) -> Array:
         """Return the slopes of the residuals on the file's tables, [knots, C, records, numbers]."""
         tables, stack, volts = self.problem.tables, self.problem.evidence.stack, self.problem.evidence.volts
         slopes = np.zeros((self.knots, soc.shape[1], self.records, width(self.problem.evidence)))
-        for j, its in enumerate(volts if tables is not None else ()):
+        for j, table in enumerate(volts if tables is not None else ()):
             assert tables is not None
-            amps = stack.current_A[its.rows, j, None]
-            change = tables.voltage(self.problem.pack, soc[its.rows, :, j], amps, stack.capacity_Ah[j])
-            flat = its.inverse @ change.reshape(its.rows.size, -1)
-            slopes[:, :, j, : its.rows.size] = flat.reshape(change.shape).transpose(2, 1, 0)
+            amps = stack.current_A[table.rows, j, None]
+            change = tables.voltage(self.problem.pack, soc[table.rows, :, j], amps, stack.capacity_Ah[j])
+            flat = table.inverse @ change.reshape(table.rows.size, -1)
+            slopes[:, :, j, : table.rows.size] = flat.reshape(change.shape).transpose(2, 1, 0)
         return slopes
 
 
@@ -146,16 +146,16 @@ def width(evidence: Evidence) -> int:
     return max(w.rows.size + (t.rows.size if t is not None else 0) for w, t in pairs)
 
 
-def whitened(evidence: Evidence, shown: Simulated) -> Array:
+def whitened(evidence: Evidence, simulated: Simulated) -> Array:
     """Return model minus measurement as independent unit numbers, [variants, records, width]."""
     stack = evidence.stack
-    out = np.zeros((shown.voltage_V.shape[1], len(evidence.names), width(evidence)))
+    out = np.zeros((simulated.voltage_V.shape[1], len(evidence.names), width(evidence)))
     for j, (volts, temps) in enumerate(zip(evidence.volts, evidence.temps, strict=True)):
-        misfit = shown.voltage_V[volts.rows, :, j] - stack.voltage_V[volts.rows, j, None]
+        misfit = simulated.voltage_V[volts.rows, :, j] - stack.voltage_V[volts.rows, j, None]
         size = volts.rows.size
         out[:, j, :size] = (volts.inverse @ misfit).T
         if temps is not None:
-            warmth = shown.temp_C[temps.rows, :, j] - stack.temp_C[temps.rows, j, None]
+            warmth = simulated.temp_C[temps.rows, :, j] - stack.temp_C[temps.rows, j, None]
             out[:, j, size : size + temps.rows.size] = (temps.inverse @ warmth).T
     return out
 
@@ -173,11 +173,11 @@ def slopes_on_file(problem: Problem, fit: Refit) -> Array:
     batch = Batch(problem, [fit.candidate])
     u = np.zeros((1, len(fit.u), batch.size))
     batch.fill_from(u[0], fit)
-    held = np.flatnonzero(~fit.moves[: len(fit.columns)])
-    us = np.repeat(u[None], 1 + held.size, axis=0)
-    us[1 + np.arange(held.size), ..., held] += NUDGE
-    vs = np.repeat(fit.v[None, None], 1 + held.size, axis=0)
-    values, soc = batch.residuals(us, vs, np.repeat(ALL_OF_ONE, 1 + held.size, axis=0))
+    fixed = np.flatnonzero(~fit.moves[: len(fit.columns)])
+    us = np.repeat(u[None], 1 + fixed.size, axis=0)
+    us[1 + np.arange(fixed.size), ..., fixed] += NUDGE
+    vs = np.repeat(fit.v[None, None], 1 + fixed.size, axis=0)
+    values, soc = batch.residuals(us, vs, np.repeat(ALL_OF_ONE, 1 + fixed.size, axis=0))
     shared = np.moveaxis(values[1:, 0] - values[0, 0], 0, -1) / NUDGE
     tables = np.moveaxis(batch.slopes_on_knots(soc)[:, 0], 0, -1)
     both: Array = np.concatenate([shared, tables], axis=-1)

@@ -54,8 +54,8 @@ class FreeQuantity:
     def value(self, u: Array) -> Array:
         """Return the value at u, kept within the bounds."""
         raw = self.start * np.exp(self.scale * u) if self.log else self.start + self.scale * u
-        kept: Array = np.clip(raw, self.low, self.high)
-        return kept
+        clipped: Array = np.clip(raw, self.low, self.high)
+        return clipped
 
     def at(self, value: float) -> float:
         """Return the u that gives a value."""
@@ -150,15 +150,15 @@ def nuisances(
 
 def capacity_sd(file: BatteryFile) -> float:
     """Return the relative standard deviation of the file's capacity."""
-    stated = CAPACITY_SHARE * file.parameters.capacity_scale_sd
-    return min(stated, CAPACITY_SD) if file.is_measured and file.parameters.c_rate is None else stated
+    file_sd = CAPACITY_SHARE * file.parameters.capacity_scale_sd
+    return min(file_sd, CAPACITY_SD) if file.is_measured and file.parameters.c_rate is None else file_sd
 
 
 def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activation_sd_K: float) -> float:
     """Return the assumed error of a quantity, 0 if the file states none."""
-    stated = entry.standard_error.get(name, 0.0)
+    file_sd = entry.standard_error.get(name, 0.0)
     reacts = name == "activation_K" and any(e.name == "charge_transfer" for e in file.effects)
-    return max(stated, least_activation_sd_K) if reacts and stated > 0.0 else stated
+    return max(file_sd, least_activation_sd_K) if reacts and file_sd > 0.0 else file_sd
 
 
 def _nuisance(name: str, sd: float, *, estimated: bool = False) -> FreeQuantity:
@@ -167,8 +167,8 @@ def _nuisance(name: str, sd: float, *, estimated: bool = False) -> FreeQuantity:
 
 def base_values(cell: Parameters, installation: Installation) -> Array:
     """Return the battery file's value of every quantity, in the order of QUANTITIES; 0 if the file has none."""
-    known = {**cell._asdict(), **installation._asdict()}
-    return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
+    values = {**cell._asdict(), **installation._asdict()}
+    return np.array([float(values.get(q.name, 0.0)) for q in QUANTITIES])
 
 
 def candidates(
@@ -180,7 +180,7 @@ def candidates(
     of its offset, since no pack charges on the ground.
     """
     listed = {entry.name for entry in file.effects}
-    found = []
+    options = []
     for effect in EFFECTS.values():
         if effect.name in without or (effect.name in listed and effect.name not in ALWAYS):
             continue
@@ -195,8 +195,8 @@ def candidates(
         has_it = effect.name in listed and base[INDEX[free[0].name]] != free[0].neutral
         resized = (effect.name,) if has_it and effect.name not in PACKS_OWN else ()
         own_start = effect.name == "initial_charge"  # each flight had its own charge
-        found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
-    return found
+        options.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
+    return options
 
 
 def _free_quantity(quantity: Quantity, base: float, effect: Effect) -> FreeQuantity:

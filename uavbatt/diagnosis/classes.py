@@ -56,10 +56,10 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
     )
 
 
-def start_class(problem: Problem, nothing: Refit) -> EffectClass:
+def start_class(problem: Problem, unchanged: Refit) -> EffectClass:
     """Return the class of the starting charge, for records that rested well below full."""
     evidence = problem.evidence
-    starts = evidence.start_soc + evidence.start_sd * nothing.v[:, 0]
+    starts = evidence.start_soc + evidence.start_sd * unchanged.v[:, 0]
     shift = starts[evidence.charged_in_part] - 1.0
     mean, half = float(np.mean(shift)), float(np.hypot(0.01, 2.0 * np.std(shift) / np.sqrt(len(shift))))
     name = "initial_charge"
@@ -78,10 +78,10 @@ class HiddenSize:
     unit: str
 
 
-def hidden_sizes(tried: Trial) -> tuple[HiddenSize, ...]:
+def hidden_sizes(trial: Trial) -> tuple[HiddenSize, ...]:
     """List, for each single effect that was tried, the size that could be present unseen, by name."""
     out = []
-    for fit in tried.fits:
+    for fit in trial.fits:
         name, one = next(iter(intervals(fit).items()))
         out.append(HiddenSize(fit.candidate.name, name, one.lo, one.hi, one.unit))
     return tuple(sorted(out, key=lambda h: h.name))
@@ -98,8 +98,8 @@ def _with_second_names(problem: Problem, members: tuple[str, ...]) -> tuple[str,
     twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion", "slow_diffusion": "hysteresis"}
     if slow:
         twins["polarisation"] = "slow_diffusion"
-    named = [both for name in members for both in (name, twins.get(name, name))]
-    return tuple(dict.fromkeys(named))[:LARGEST_CLASS]
+    both_names = [both for name in members for both in (name, twins.get(name, name))]
+    return tuple(dict.fromkeys(both_names))[:LARGEST_CLASS]
 
 
 def intervals(fit: Refit) -> dict[str, Interval]:

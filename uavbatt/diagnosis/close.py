@@ -72,9 +72,11 @@ class ClosedLoop:
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
     """Return effect -> quantity -> value for the values [freed] of a refit, without the start of charge of a flight."""
-    known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
+    by_name = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
-        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known and name != "initial_charge"}
+        name: {
+            q.name: by_name[q.name] for q in EFFECTS[name].quantities if q.name in by_name and name != "initial_charge"
+        }
         for name in fit.candidate.names
     }
 
@@ -102,47 +104,49 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
     return msgspec.structs.replace(file, effects=list(entries.values()))
 
 
-def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFile:
+def extended(file: BatteryFile, diagnosis: Diagnosis, worse: str = "") -> BatteryFile:
     """Return the battery file with the found effects, or the file itself if none was found; flights do not certify it.
 
     worse : the errors that became larger on held-out records (`ClosedLoop.worse`); the file states them.
     """
-    if found.verdict == "no_missing_effect":
+    if diagnosis.verdict == "no_missing_effect":
         return file
-    fit = found.after
+    fit = diagnosis.after
     names = [QUANTITIES[f.index].name for f in fit.candidate.freed]
     errors = dict(zip(names, map(float, fit.errors()), strict=True)) if names else {}
     values = fit.values()[0] if names else np.zeros(0)
     by_name = values_by_name(fit, values)
     new = with_effects(file, by_name, errors)
-    left = file.discrepancy
-    if found.verdict == "undeclared_effect":  # unexplained error widens every interval
-        share = file.battery.cells_series / float(found.problem.pack.installation.cells)
-        left = msgspec.structs.replace(
-            left,
-            voltage_rmse_V=rounded(max(left.voltage_rmse_V, residual.size_V(found.residual_after) * share)),
-            temperature_rmse_K=rounded(max(left.temperature_rmse_K, _known(residual.size_K(found.residual_after)))),
-            source=f"{left.source}; widened by what diagnosis left unexplained",
+    discrepancy = file.discrepancy
+    if diagnosis.verdict == "undeclared_effect":  # unexplained error widens every interval
+        share = file.battery.cells_series / float(diagnosis.problem.pack.installation.cells)
+        discrepancy = msgspec.structs.replace(
+            discrepancy,
+            voltage_rmse_V=rounded(max(discrepancy.voltage_rmse_V, residual.size_V(diagnosis.residual_after) * share)),
+            temperature_rmse_K=rounded(
+                max(discrepancy.temperature_rmse_K, _known(residual.size_K(diagnosis.residual_after)))
+            ),
+            source=f"{discrepancy.source}; widened by what diagnosis left unexplained",
         )
     carried = [n for n in fit.candidate.names if by_name[n]]
-    remark = f"diagnosed on {len(found.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
-    lost = [n for n in fit.candidate.names if not by_name[n]]
+    remark = f"diagnosed on {len(diagnosis.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
+    dropped = [n for n in fit.candidate.names if not by_name[n]]
     doubted = [f"predicts held-out records worse: {worse}"] if worse else []
-    remarks = [*file.battery.remarks, remark, *doubted, *(f"found, but each flight has its own: {n}" for n in lost)]
+    remarks = [*file.battery.remarks, remark, *doubted, *(f"found, but each flight has its own: {n}" for n in dropped)]
     return msgspec.structs.replace(
         new,
         battery=msgspec.structs.replace(file.battery, remarks=remarks),
-        discrepancy=left,
+        discrepancy=discrepancy,
         certificate=Certificate(status=_ungated(file), data_sha256=file.certificate.data_sha256),
     )
 
 
-def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> BatteryFile:
+def gated(new: BatteryFile, diagnosis: Diagnosis, verdicts: list[Verdict]) -> BatteryFile:
     """Return the extended file with the gate's verdicts: `certified` if all pass and nothing is left unexplained."""
     passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
     certificate = msgspec.structs.replace(
         new.certificate,
-        status="certified" if passed and found.verdict != "undeclared_effect" else _ungated(new),
+        status="certified" if passed and diagnosis.verdict != "undeclared_effect" else _ungated(new),
         validated_ambient_C=sorted({v.ambient_C for v in verdicts if v.ambient_C is not None}) if passed else [],
         verdicts=verdicts,
     )
@@ -184,14 +188,14 @@ def remaining(
             continue
         due += FORECAST_S
         true_s = end_s - line.time_s
-        known = math.isfinite(line.remaining_s)
-        errors.append(abs(line.remaining_s - true_s) if known else true_s)
-        hits.append(known and line.remaining_lo_s <= true_s <= line.remaining_hi_s)
+        is_known = math.isfinite(line.remaining_s)
+        errors.append(abs(line.remaining_s - true_s) if is_known else true_s)
+        hits.append(is_known and line.remaining_lo_s <= true_s <= line.remaining_hi_s)
     return errors, hits
 
 
 def judge(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     file: BatteryFile,
     flights: list[Flight],
     options: PackOptions,
@@ -199,7 +203,7 @@ def judge(
     engine: Engine = PLAIN,
 ) -> ClosedLoop:
     """Judge the error before and after on every record, each left out in turn; `engine` replays the flights."""
-    problem, fit = found.problem, found.after
+    problem, fit = diagnosis.problem, diagnosis.after
     values = left_out_values(problem, fit)
     by_name = dict(zip(problem.evidence.names, values, strict=True))
     pairs: dict[str, tuple[list[float], list[bool]]] = {"before": ([], []), "after": ([], [])}
@@ -215,7 +219,7 @@ def judge(
             errors, hits = remaining(flight, used, options, engine)
             pairs[key][0].extend(errors)
             pairs[key][1].extend(hits)
-    plain = open_loop(problem, found.before, [np.zeros(0)] * len(values))
+    plain = open_loop(problem, diagnosis.before, [np.zeros(0)] * len(values))
     fixed = open_loop(problem, fit, values)
     return ClosedLoop(_error(*plain, *pairs["before"]), _error(*fixed, *pairs["after"]), problem.evidence.names)
 

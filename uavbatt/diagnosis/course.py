@@ -62,11 +62,11 @@ def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> FlightVa
     k = int(whole.quantities[whole.candidate.slice_of(whole.candidate.name)][0])
     freed = whole.columns[k]
     places = list(order)
-    known = np.maximum(whole.information[places, k, k], 1e-6)
+    precision = np.maximum(whole.information[places, k, k], 1e-6)
     at = freed.value(whole.u[places, k])
     slope = freed.scale * at if freed.log else np.full(len(places), freed.scale)
     return FlightValues(
-        at + slope * whole.score[places, k] / known - problem.base[freed.index], np.abs(slope) / np.sqrt(known)
+        at + slope * whole.score[places, k] / precision - problem.base[freed.index], np.abs(slope) / np.sqrt(precision)
     )
 
 
@@ -74,5 +74,5 @@ def on_course(option: Candidate, course: Course, order: Sequence[int]) -> Candid
     """Return the option as an effect that takes this course; `order` has the records' places in order of time."""
     shares = np.empty(len(order))
     shares[list(order)] = course.shares(len(order))
-    its = tuple(float(s) for s in shares)
-    return replace(option, freed=tuple(replace(f, shares=its) for f in option.freed))
+    values = tuple(float(s) for s in shares)
+    return replace(option, freed=tuple(replace(f, shares=values) for f in option.freed))

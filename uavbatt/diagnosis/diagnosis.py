@@ -76,8 +76,8 @@ def problem_of(
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    believed, stated = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
-    return Problem(pack, evidence, base, believed, stated, table_errors(file), states)
+    believed, declared = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
+    return Problem(pack, evidence, base, believed, declared, table_errors(file), states)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -110,32 +110,34 @@ def diagnose(
     if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
         full = replace(problem, evidence=problem.evidence.believed_full)
         searched = min(searched, _search_settled(full, file, without, tell), key=lambda s: s.best.total)
-    problem, nothing, best, findings, singles = searched
+    problem, unchanged, best, findings, singles = searched
     tell("residual")
     steady = all(f.steady for f in findings)
-    left = left_per_number(problem, best)
-    reasons = doubts(problem, file, findings, best, left)
-    found = tuple(class_of(problem, f, candidate_probability(left, reasons)) for f in findings)
+    misfit = left_per_number(problem, best)
+    reasons = doubts(problem, file, findings, best, misfit)
+    effect_classes = tuple(class_of(problem, f, candidate_probability(misfit, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
-        found = (start_class(problem, nothing), *found)
+        effect_classes = (start_class(problem, unchanged), *effect_classes)
     if not steady:  # a value that differs between records is a suspect, not for a battery file
-        best = nothing
-    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
+        best = unchanged
+    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if effect_classes else "no_missing_effect"
     after = residual.residuals(problem.evidence, at_best(problem, best))
     may_hide = small(problem, singles) if verdict == "no_missing_effect" else None
     return Diagnosis(
         verdict=verdict,
-        classes=found if may_hide is None else (class_of(problem, may_hide, candidate_probability(left, reasons)),),
+        classes=effect_classes
+        if may_hide is None
+        else (class_of(problem, may_hide, candidate_probability(misfit, reasons)),),
         reasons=reasons,
         problem=problem,
-        before=nothing,
+        before=unchanged,
         after=best,
-        residual_before=residual.residuals(problem.evidence, at_best(problem, nothing)),
+        residual_before=residual.residuals(problem.evidence, at_best(problem, unchanged)),
         residual_after=after,
         floor_V=floor_V(file, problem),
         left=residual.shape(after),
         findings=tuple(findings),
-        blocks=evidence_by_block(problem, nothing, best) if best is not nothing else (),
+        blocks=evidence_by_block(problem, unchanged, best) if best is not unchanged else (),
         hidden=hidden_sizes(singles) if not findings else (),
     )
 
@@ -164,16 +166,18 @@ def _search_settled(
     problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
 ) -> _SearchResult:
     """Search for effects in records whose starts are settled; impossible and known effects are no candidates."""
-    known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
-    options = options_of(problem, file, (*without, *known))
-    nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-    return _SearchResult(problem, nothing, *search(problem, options, nothing, lambda fit: explains(problem, fit), tell))
+    start_effects = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
+    options = options_of(problem, file, (*without, *start_effects))
+    unchanged = refit(problem, [NOTHING], iterations=SETTLED)[0]
+    return _SearchResult(
+        problem, unchanged, *search(problem, options, unchanged, lambda fit: explains(problem, fit), tell)
+    )
 
 
 def explains(problem: Problem, fit: Refit) -> bool:
     """Return True if a refit leaves no more than the file's own model does."""
-    left = left_per_number(problem, fit)
-    return not max(left.voltage, left.temperature) > LEFT
+    misfit = left_per_number(problem, fit)
+    return not max(misfit.voltage, misfit.temperature) > LEFT
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:
@@ -196,9 +200,9 @@ def left_per_number(problem: Problem, best: Refit) -> MisfitPerNumber:
     """
     problem = replace(problem, nuisances=problem.stated)
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
-    left = per_number(problem, fit)
+    misfit = per_number(problem, fit)
     numbers = sum(v.rows.size for v in problem.evidence.volts)
-    return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
+    return misfit._replace(voltage=misfit.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
 
 
 def per_number(problem: Problem, fit: Refit) -> MisfitPerNumber:
@@ -225,43 +229,47 @@ def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -
     return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
 
 
-def candidate_probability(left: MisfitPerNumber, reasons: tuple[str, ...]) -> float:
+def candidate_probability(misfit: MisfitPerNumber, reasons: tuple[str, ...]) -> float:
     """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
-    return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
+    return SUSPECT if reasons else float(np.interp(misfit.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
 def doubts(
-    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, left: MisfitPerNumber
+    problem: Problem, file: BatteryFile, findings: list[FoundEffect], best: Refit, misfit: MisfitPerNumber
 ) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 
-    left : chi-square per number (`left_per_number`).
+    misfit : chi-square per number (`left_per_number`).
     """
-    found = []
+    reasons = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
-    if left.voltage > LEFT:
+    if misfit.voltage > LEFT:
         shape = residual.shape(after)
-        found.append(
-            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {left.voltage:.1f} times what this "
-            f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
-            f"about {shape.time_scale_s:.0f} s"
+        reasons.append(
+            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {misfit.voltage:.1f} times what "
+            f"this battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and "
+            f"lasts about {shape.time_scale_s:.0f} s"
         )
     elif findings and (times := times_expected(problem, file, after)) > FAR:
-        found.append(
+        reasons.append(
             f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {times:.1f} times what this "
             "battery's model leaves there: what is named is the smaller part of it, or none"
         )
-    if left.temperature > LEFT:
-        found.append(
-            f"the temperature residual is still {residual.size_K(after):.1f} K, {left.temperature:.1f} times what this "
-            "battery's model leaves (chi-square)"
+    if misfit.temperature > LEFT:
+        reasons.append(
+            f"the temperature residual is still {residual.size_K(after):.1f} K, {misfit.temperature:.1f} times what "
+            "this battery's model leaves (chi-square)"
         )
     for finding in findings:
-        its = finding.worth.constancy
+        constancy = finding.worth.constancy
         if finding.drift is not None:
-            found.append(drift.words(finding.drift))
-        elif its is not None and not finding.steady:
-            found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
+            reasons.append(drift.words(finding.drift))
+        elif constancy is not None and not finding.steady:
+            reasons.append(
+                f"{finding.name} is not the same in all records (they differ by {constancy.spread:.0%} of it)"
+            )
         if all(m.candidate.name in m.candidate.resized for m in finding.members):
-            found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
-    return tuple(found)
+            reasons.append(
+                f"no new effect explains it, only another size of {finding.name}, which the file already has"
+            )
+    return tuple(reasons)

@@ -27,16 +27,16 @@ WITHIN: dict[Course, str] = {
 }
 
 
-def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | None:
+def drifting(problem: Problem, fit: Refit, along: Course = "time") -> Refit | None:
     """Refit an effect with a drift along time or temperature, equal in all records; None if it cannot drift."""
-    first = found.candidate.freed[found.candidate.slice_of(found.candidate.name)][0]
-    quantity = next(q for q in EFFECTS[found.candidate.name].quantities if INDEX[q.name] == first.index)
+    first = fit.candidate.freed[fit.candidate.slice_of(fit.candidate.name)][0]
+    quantity = next(q for q in EFFECTS[fit.candidate.name].quantities if INDEX[q.name] == first.index)
     if quantity.name not in MAY_DRIFT:
         return None
     widest = quantity.high - quantity.low
     drift = FreeQuantity(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, along=along)
-    both = found.candidate.plus(Candidate((f"{found.candidate.name} that drifts",), (drift,), (1,)))
-    return refit(problem, [both], start=[found], iterations=TURNS)[0]
+    both = fit.candidate.plus(Candidate((f"{fit.candidate.name} that drifts",), (drift,), (1,)))
+    return refit(problem, [both], start=[fit], iterations=TURNS)[0]
 
 
 def saved(drift: Refit, steady: Refit) -> float:
@@ -46,10 +46,9 @@ def saved(drift: Refit, steady: Refit) -> float:
 
 def words(drift: Refit) -> str:
     """Say how the effect changes, as `current_gain is not the same throughout a record: ...`."""
-    its = drift.candidate.freed[-1]
-    unit = unit_words(QUANTITIES[its.index].unit)
+    quantity = drift.candidate.freed[-1]
+    unit = unit_words(QUANTITIES[quantity.index].unit)
     change = f"{drift.values()[0][-1]:+.3g} {unit}".strip()
-    assert its.along is not None  # the quantity that `drifting` has freed last
-    return (
-        f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} {WITHIN[its.along]}"
-    )
+    assert quantity.along is not None  # the quantity that `drifting` has freed last
+    name, course = drift.candidate.names[-2], WITHIN[quantity.along]
+    return f"{name} is not the same throughout a record: it changes by {change} {course}"

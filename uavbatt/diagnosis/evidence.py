@@ -100,9 +100,9 @@ class Evidence:
 def idle_A(evidence: Evidence) -> float:
     """Return the smallest mean current [A] that the sensor reports before take-off; inf if no record begins at rest."""
     stack = evidence.stack
-    seen = np.abs(stack.current_A) < IDLE_C_RATE * stack.capacity_Ah
-    lengths = np.argmin(seen, axis=0)  # rows before the first under load
-    means = [float(np.mean(stack.current_A[:n, j])) for j, n in enumerate(lengths) if n and seen[0, j]]
+    idle = np.abs(stack.current_A) < IDLE_C_RATE * stack.capacity_Ah
+    lengths = np.argmin(idle, axis=0)  # rows before the first under load
+    means = [float(np.mean(stack.current_A[:n, j])) for j, n in enumerate(lengths) if n and idle[0, j]]
     return min(means, default=float("inf"))
 
 
@@ -148,7 +148,7 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     """
     check_records(records)
     records = sorted((r for r in records if _long_enough(r)), key=_content)
-    known = _wander(file, float(records[0].cells))
+    spread = _wander(file, float(records[0].cells))
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
     steep_V = _steep_V(file, ocv_soc, records[0].cells)
@@ -157,39 +157,39 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     return Evidence(
         stack=stack,
         volts=tuple(
-            _voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm), (ocv_soc[0], steep_V))
+            _voltage_whitener(stack, j, start_soc[j], spread, noise_V(r, ohm), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
-        temps=tuple(_temperature_whitener(stack, j, known) for j in numbers),
+        temps=tuple(_temperature_whitener(stack, j, spread) for j in numbers),
         shifted_A=_shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,
         charged_in_part=in_part,
-        familiar=np.array([_cold(known, start_C) == 1.0 for start_C in stack.start_temp_C]),
+        familiar=np.array([_cold(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
     )
 
 
 def _wander(file: BatteryFile, cells: float) -> Wander:
     """Return the file's wander for a pack of `cells`; a file without one gets its RMSE at every charge."""
-    left, share = file.discrepancy, cells / file.battery.cells_series
-    known = left.wander
-    if known is None:
-        known = Wander(
+    discrepancy, share = file.discrepancy, cells / file.battery.cells_series
+    spread = discrepancy.wander
+    if spread is None:
+        spread = Wander(
             soc=[0.0, 1.0],
-            voltage_sd_V=[max(left.voltage_rmse_V, wander.USUAL_CELL_V * file.battery.cells_series)] * 2,
-            voltage_time_s=max(left.voltage_autocorrelation_s, wander.USUAL_TIME_S),
+            voltage_sd_V=[max(discrepancy.voltage_rmse_V, wander.USUAL_CELL_V * file.battery.cells_series)] * 2,
+            voltage_time_s=max(discrepancy.voltage_autocorrelation_s, wander.USUAL_TIME_S),
             voltage_noise_V=wander.USUAL_NOISE_CELL_V * file.battery.cells_series,
             rest_sd_V=wander.USUAL_REST_CELL_V * file.battery.cells_series,
-            temperature_sd_K=max(left.temperature_rmse_K, wander.USUAL_K),
+            temperature_sd_K=max(discrepancy.temperature_rmse_K, wander.USUAL_K),
             temperature_time_s=wander.USUAL_TIME_K_S,
             temperature_noise_K=wander.USUAL_NOISE_K,
         )
     return msgspec.structs.replace(
-        known,
-        voltage_sd_V=[share * v for v in known.voltage_sd_V],
-        voltage_noise_V=share * known.voltage_noise_V,
-        rest_sd_V=share * known.rest_sd_V,
+        spread,
+        voltage_sd_V=[share * v for v in spread.voltage_sd_V],
+        voltage_noise_V=share * spread.voltage_noise_V,
+        rest_sd_V=share * spread.rest_sd_V,
     )
 
 
@@ -226,22 +226,22 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
 
 
 def _voltage_whitener(
-    stack: Stack, j: int, start_soc: float, known: Wander, noise_sd_V: float, steep_V: tuple[Array, Array]
+    stack: Stack, j: int, start_soc: float, spread: Wander, noise_sd_V: float, steep_V: tuple[Array, Array]
 ) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
-    drawn = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
+    discharged = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
     # It was learned on packs that took off full: an error at full charge may come from the charge or from the take-off.
-    log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
-    wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
-    wandering_V *= _cold(known, stack.start_temp_C[j])
-    wandering_V = np.hypot(wandering_V, np.interp(start_soc - drawn, *steep_V))
-    sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), known.rest_sd_V)
-    kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.voltage_time_s)
-    kernel = np.where(loaded[:, None] & loaded, kept, 1.0) * sd[:, None] * sd
+    log_sd = np.log(np.maximum(spread.voltage_sd_V, 1e-6))
+    wandering_V = np.exp(np.maximum(*(np.interp(first - discharged, spread.soc, log_sd) for first in (start_soc, 1.0))))
+    wandering_V *= _cold(spread, stack.start_temp_C[j])
+    wandering_V = np.hypot(wandering_V, np.interp(start_soc - discharged, *steep_V))
+    sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), spread.rest_sd_V)
+    decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
+    kernel = np.where(loaded[:, None] & loaded, decay, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    return _whitener(rows, ~loaded, kernel, max(known.voltage_noise_V, noise_sd_V))
+    return _whitener(rows, ~loaded, kernel, max(spread.voltage_noise_V, noise_sd_V))
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
@@ -255,20 +255,22 @@ def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Arr
     return out
 
 
-def _cold(known: Wander, start_C: float) -> float:
+def _cold(spread: Wander, start_C: float) -> float:
     """Return the factor on the model's error for a flight that begins colder than all flights it was learned on."""
-    if known.coldest_C is None or not np.isfinite(start_C):
+    if spread.coldest_C is None or not np.isfinite(start_C):
         return 1.0
-    return float(2.0 ** (max(known.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
+    return float(2.0 ** (max(spread.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
 
 
-def _temperature_whitener(stack: Stack, j: int, known: Wander) -> Whitener | None:
+def _temperature_whitener(stack: Stack, j: int, spread: Wander) -> Whitener | None:
     rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
     if rows.size < 5:
         return None
     time_s = stack.time_s[rows, j]
-    kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.temperature_time_s)
-    return _whitener(rows, np.zeros(rows.size, dtype=bool), known.temperature_sd_K**2 * kept, known.temperature_noise_K)
+    decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.temperature_time_s)
+    return _whitener(
+        rows, np.zeros(rows.size, dtype=bool), spread.temperature_sd_K**2 * decay, spread.temperature_noise_K
+    )
 
 
 def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
@@ -292,7 +294,7 @@ def _shifted(records: list[ObservedRecord], stack: Stack) -> Array:
                 continue
             ends_s = np.clip(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), *record.time_s[[0, -1]])
             width_s = np.diff(ends_s, axis=0)[0]
-            drawn = np.diff(np.interp(ends_s, record.time_s, charge), axis=0)[0]
+            charge_drawn = np.diff(np.interp(ends_s, record.time_s, charge), axis=0)[0]
             held_A = np.where(at_s < record.time_s[0], record.current_A[0], stack.current_A[-1, j])
-            out[i, :, j] = np.where(width_s > 0.5, drawn / np.maximum(width_s, 0.5), held_A)
+            out[i, :, j] = np.where(width_s > 0.5, charge_drawn / np.maximum(width_s, 0.5), held_A)
     return out

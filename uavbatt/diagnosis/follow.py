@@ -97,14 +97,14 @@ def follow(
         traces.append(trace)
         best = trace.effect.members[0]
     tell("residual")
-    left = left_per_number(problem, best)
-    why = doubts(problem, file, [t.effect for t in traces], best, left)
+    misfit = left_per_number(problem, best)
+    why = doubts(problem, file, [t.effect for t in traces], best, misfit)
     verdict: Verdict = "undeclared_effect" if why else "effect_found" if traces else "no_missing_effect"
     return Follow(
         verdict=verdict,
         flights=tuple(names[i] for i in order),
         left_out=tuple(r.name for r in records if r.name not in names),
-        effects=tuple(_followed_effect(problem, t, candidate_probability(left, why)) for t in traces),
+        effects=tuple(_followed_effect(problem, t, candidate_probability(misfit, why)) for t in traces),
         reasons=why,
     )
 
@@ -137,9 +137,9 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     if best is None:
         return None
     place = free.index(best.option)
-    its = sorted(courses(len(order)), key=lambda c: -owns[place].saved(c))[:REFITTED]
-    tried = _refitted(problem, [(best.option, c) for c in its], before, order)
-    chosen = _chosen([best, *tried])
+    likeliest = sorted(courses(len(order)), key=lambda c: -owns[place].saved(c))[:REFITTED]
+    fits = _refitted(problem, [(best.option, c) for c in likeliest], before, order)
+    chosen = _chosen([best, *fits])
     if not _is_earned(chosen, before, len(order)):
         return None
     rivals = trial(problem, before, [on_course(o, chosen.course, order) for o in free], FIRST_TURNS)
@@ -148,7 +148,7 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     effect = finding(problem, rivals, EARNED)
     as_good = [
         t.course.begins
-        for t in [best, *tried]
+        for t in [best, *fits]
         if t.course.grows == chosen.course.grows and t.fit.total < chosen.fit.total + AS_GOOD
     ]
     own = owns[[o.name for o in free].index(effect.name)]
@@ -157,50 +157,50 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
 
 def _own_values(problem: Problem, free: list[Candidate], before: Refit, order: Sequence[int]) -> list[FlightValues]:
     """Return each flight's own value of every effect, from refits in which all flights have that effect."""
-    tried = [before.candidate.plus(o) for o in free]
-    fits = refit(problem, tried, start=[before] * len(tried), iterations=FURTHER_TURNS)
+    with_option = [before.candidate.plus(o) for o in free]
+    fits = refit(problem, with_option, start=[before] * len(with_option), iterations=FURTHER_TURNS)
     return [own_values(problem, fit, order) for fit in fits]
 
 
 def _shortlist(free: list[Candidate], owns: list[FlightValues]) -> list[tuple[Candidate, Course]]:
     """Return the most promising courses: for every effect the best first flight, both steady and growing."""
-    found = []
+    shortlist = []
     for option, own in zip(free, owns, strict=True):
         for grows in (False, True):
-            its = [c for c in courses(own.change.size) if c.grows == grows]
-            if its:
-                best = max(its, key=own.saved)
-                found.append((own.saved(best), option, best))
-    found.sort(key=lambda f: -f[0])
-    return [(option, course) for _, option, course in found[:REFITTED]]
+            likely = [c for c in courses(own.change.size) if c.grows == grows]
+            if likely:
+                best = max(likely, key=own.saved)
+                shortlist.append((own.saved(best), option, best))
+    shortlist.sort(key=lambda f: -f[0])
+    return [(option, course) for _, option, course in shortlist[:REFITTED]]
 
 
 def _refitted(
-    problem: Problem, asked: list[tuple[Candidate, Course]], before: Refit, order: Sequence[int]
+    problem: Problem, options: list[tuple[Candidate, Course]], before: Refit, order: Sequence[int]
 ) -> list[_CourseFit]:
-    tried = [before.candidate.plus(on_course(option, course, order)) for option, course in asked]
-    fits = refit(problem, tried, start=[before] * len(tried), iterations=FIRST_TURNS)
-    return [_CourseFit(option, course, fit) for (option, course), fit in zip(asked, fits, strict=True)]
+    starts = [before.candidate.plus(on_course(option, course, order)) for option, course in options]
+    fits = refit(problem, starts, start=[before] * len(starts), iterations=FIRST_TURNS)
+    return [_CourseFit(option, course, fit) for (option, course), fit in zip(options, fits, strict=True)]
 
 
-def _best(tried: list[_CourseFit], before: Refit) -> _CourseFit | None:
+def _best(fits: list[_CourseFit], before: Refit) -> _CourseFit | None:
     """Return the refit with the least chi-square among those worth enough; none that stands at a physical bound."""
     flights = len(before.chi2)
-    earned = [t for t in tried if not at_bound(t.fit) and _is_earned(t, before, flights)]
+    earned = [t for t in fits if not at_bound(t.fit) and _is_earned(t, before, flights)]
     return min(earned, key=lambda t: t.fit.total, default=None)
 
 
-def _is_earned(tried: _CourseFit, before: Refit, flights: int) -> bool:
+def _is_earned(course_fit: _CourseFit, before: Refit, flights: int) -> bool:
     """Return True if an effect is worth more than chance gives; in one flight only, more than a peculiarity gives."""
-    its = worth(tried.fit, before)
-    if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can confirm it
-        return its.most * its.known > EARNED_ONCE
-    return its.value > EARNED
+    gain = worth(course_fit.fit, before)
+    if not course_fit.course.grows and course_fit.course.begins == flights - 1:  # no other flight can confirm it
+        return gain.most * gain.known > EARNED_ONCE
+    return gain.value > EARNED
 
 
-def _chosen(tried: list[_CourseFit]) -> _CourseFit:
+def _chosen(fits: list[_CourseFit]) -> _CourseFit:
     """Return the best course; a growing one only if it is clearly better than every steady one."""
-    possible = [t for t in tried if not at_bound(t.fit)]
+    possible = [t for t in fits if not at_bound(t.fit)]
     return min(possible, key=lambda t: t.fit.total - (GROWS if not t.course.grows else 0.0))
 
 
@@ -215,6 +215,6 @@ def _followed_effect(problem: Problem, trace: _Trace, sure: float) -> FollowedEf
         Interval(float(v), float(max(v - h, freed.low)), float(min(v + h, freed.high)), UNITS[name])
         for v, h in zip(values, half, strict=True)
     )
-    told = class_of(problem, trace.effect, sure)
+    effect_class = class_of(problem, trace.effect, sure)
     course, saved = trace.course, trace.effect.worth.value
-    return FollowedEffect(told, course, trace.earliest, trace.latest, own, name, float(off), saved)
+    return FollowedEffect(effect_class, course, trace.earliest, trace.latest, own, name, float(off), saved)

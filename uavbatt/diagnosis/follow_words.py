@@ -17,20 +17,20 @@ def course_words(one: FollowedEffect, flights: Sequence[str], dates: Sequence[st
     if begins == 0 and not one.course.grows:
         return f"in every one of the {count} flights, {course}"
     day = f"{dates[begins]}, " if dates[begins] else ""
-    told = f"since flight {begins + 1} of {count} ({day}{Path(flights[begins]).name}), {course}"
+    sentence = f"since flight {begins + 1} of {count} ({day}{Path(flights[begins]).name}), {course}"
     if one.earliest < one.latest:
-        told += f"; it may have begun at any from flight {one.earliest + 1} to {one.latest + 1}"
+        sentence += f"; it may have begun at any from flight {one.earliest + 1} to {one.latest + 1}"
     if begins == count - 1:
-        told += "; one flight alone shows it: fly another"
-    return told
+        sentence += "; one flight alone shows it: fly another"
+    return sentence
 
 
 def size_words(one: FollowedEffect) -> str:
     """Say how large the effect is at the last flight, and by how much it grows."""
     quantity, unit = QUANTITY.get(one.quantity, one.quantity), unit_words(one.values[0].unit)
     last = one.found.parameters[one.quantity]
-    told = f"{quantity}: {one.quantity} = {last.value:.4g} [{last.lo:.4g}, {last.hi:.4g}] {unit}".rstrip()
+    sentence = f"{quantity}: {one.quantity} = {last.value:.4g} [{last.lo:.4g}, {last.hi:.4g}] {unit}".rstrip()
     if one.course.grows:
         each = (last.value - one.off) / (len(one.values) - one.course.begins)
-        told += f" at the last flight, {each:+.2g} {unit}".rstrip() + " a flight"
-    return told
+        sentence += f" at the last flight, {each:+.2g} {unit}".rstrip() + " a flight"
+    return sentence

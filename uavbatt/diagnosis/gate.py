@@ -65,6 +65,8 @@ def _difference(tests: DataSet, ambient_C: float, old: BatteryFile, new: Battery
     return stack.time_s.mean(axis=1), change.mean(axis=1)
 
 
-def _moved(held: HeldOut, time_s: Array, change_V: Array) -> HeldOut:
-    curves = [replace(c, model_V=c.model_V + np.interp(c.time_s, time_s, change_V)) for c in held.curves]
-    return replace(held, model_V=held.model_V + np.interp(held.time_s, time_s, change_V), curves=tuple(curves))
+def _moved(held_out: HeldOut, time_s: Array, change_V: Array) -> HeldOut:
+    curves = [replace(c, model_V=c.model_V + np.interp(c.time_s, time_s, change_V)) for c in held_out.curves]
+    return replace(
+        held_out, model_V=held_out.model_V + np.interp(held_out.time_s, time_s, change_V), curves=tuple(curves)
+    )

@@ -18,12 +18,12 @@ def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float,
     values : the values for each record, [freed] per record.
     """
     u = fit.u.copy()
-    for j, given in enumerate(values):
-        for k, freed, value in zip(fit.quantities, fit.candidate.freed, given, strict=True):
+    for j, own_value in enumerate(values):
+        for k, freed, value in zip(fit.quantities, fit.candidate.freed, own_value, strict=True):
             u[j, k] = freed.at(float(value))
-    found = residual.residuals(problem.evidence, at_best(problem, replace(fit, u=u)))
+    residuals = residual.residuals(problem.evidence, at_best(problem, replace(fit, u=u)))
     stack, squares = problem.evidence.stack, []
-    for j, r in enumerate(found):
+    for j, r in enumerate(residuals):
         volts = stack.voltage_V[problem.evidence.volts[j].rows, j]
         squares.append(np.mean(r.voltage_V[~r.rest & (volts > problem.pack.cutoff_V)] ** 2))
-    return float(np.sqrt(np.mean(squares))), residual.size_K(found)
+    return float(np.sqrt(np.mean(squares))), residual.size_K(residuals)

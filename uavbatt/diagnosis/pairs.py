@@ -67,23 +67,23 @@ def _seeds(singles: Trial) -> list[Refit]:
     promising = [f for f, g in zip(singles.fits, gains, strict=True) if g > RIVAL_SHARE * gains[0]]
     seeds = promising[:SEEDS]
     for fit in promising[SEEDS:]:
-        known = [name for seed in seeds for name in seed.candidate.names]
-        if len(seeds) < SEEDS_IN_ALL and not related(fit.candidate.names, known):
+        names = [name for seed in seeds for name in seed.candidate.names]
+        if len(seeds) < SEEDS_IN_ALL and not related(fit.candidate.names, names):
             seeds.append(fit)
     return seeds
 
 
 def _earning_pairs(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
     """Return, by chi-square, the pairs in which each effect is worth enough beside the other."""
-    tried: list[Candidate] = []
+    pairs: list[Candidate] = []
     starts: list[Refit] = []
     for seed in _seeds(singles):
         for option in options:
             names = {*seed.candidate.names, option.name}
-            if not related(option.names, seed.candidate.names) and names not in [set(c.names) for c in tried]:
-                tried.append(seed.candidate.plus(option))
+            if not related(option.names, seed.candidate.names) and names not in [set(c.names) for c in pairs]:
+                pairs.append(seed.candidate.plus(option))
                 starts.append(seed)
-    fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
+    fits = sorted(refit(problem, pairs, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
     one_leaves = float(np.sum(left_out_chi2(best)))
     earned = []
@@ -112,8 +112,8 @@ def whole(problem: Problem, pairs: list[Refit], singles: Trial) -> list[Refit]:
     without = [fit for fit in pairs if not related(worthiest.names, fit.candidate.names)]
     if not without:
         return pairs
-    tried = [fit.candidate.plus(worthiest) for fit in without]
-    three = refit(problem, tried, start=without, iterations=FURTHER_TURNS)
+    wholes = [fit.candidate.plus(worthiest) for fit in without]
+    three = refit(problem, wholes, start=without, iterations=FURTHER_TURNS)
     lacking = [
         one for one, all_three in zip(without, three, strict=True) if worth(all_three, one).value > EARNED_BESIDE
     ]

@@ -96,17 +96,17 @@ class Refit:
     @property
     def with_effects_swapped(self) -> Refit:
         """Return the same refit of two effects in reverse order: the first becomes the one added last."""
-        its, first = self.candidate, self.quantities[0]
-        second = first + its.sizes[0]
+        candidate, first = self.candidate, self.quantities[0]
+        second = first + candidate.sizes[0]
         size = len(self.columns)
         order = [*range(first), *range(second, size), *range(first, second), *range(size, self.moves.size)]
         return replace(
             self,
             candidate=replace(
-                its,
-                names=its.names[::-1],
-                freed=its.freed[its.sizes[0] :] + its.freed[: its.sizes[0]],
-                sizes=its.sizes[::-1],
+                candidate,
+                names=candidate.names[::-1],
+                freed=candidate.freed[candidate.sizes[0] :] + candidate.freed[: candidate.sizes[0]],
+                sizes=candidate.sizes[::-1],
             ),
             columns=tuple(self.columns[k] for k in order[:size]),
             u=self.u[:, order[:size]],
@@ -128,8 +128,8 @@ class Refit:
         if considered:
             shift = inverse @ information[moved[:, None], np.flatnonzero(~self.moves)]
             covariance = inverse + shift @ shift.T
-        kept = np.searchsorted(moved, self.quantities)
-        out: Array = covariance[kept[:, None], kept]
+        places = np.searchsorted(moved, self.quantities)
+        out: Array = covariance[places[:, None], places]
         return out
 
     def errors(self) -> Array:

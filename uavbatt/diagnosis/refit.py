@@ -42,8 +42,8 @@ class _Linearised(NamedTuple):
 
     def put(self, few: Rows, new: _Linearised) -> None:
         """Write the rows of some candidates in place."""
-        for values, its in zip(self, new, strict=True):
-            values[few] = its
+        for values, part in zip(self, new, strict=True):
+            values[few] = part
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a trial whose pack diverges gives NaN and is rejected
@@ -62,9 +62,9 @@ def refit(
     batch = Batch(problem, candidates, file_errors=file_errors)
     u = np.zeros((len(candidates), batch.records, batch.size))
     v = np.zeros((len(candidates), batch.records, NUISANCES))
-    for i, given in enumerate(start or []):
-        batch.fill_from(u[i], given)
-        v[i] = given.v
+    for i, values in enumerate(start or []):
+        batch.fill_from(u[i], values)
+        v[i] = values.v
     if not file_errors:
         u = _best_of_scan(batch, u, v)
     damping = np.full(len(candidates), 1e-2)
@@ -131,17 +131,17 @@ def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
     side = np.where(u + NUDGE > batch.high[:, None], -NUDGE, NUDGE)
     us = np.repeat(u[None], first_v + NUISANCES, axis=0)
     vs = np.repeat(v[None], first_v + NUISANCES, axis=0)
-    wanted = np.ones(us.shape[:2], dtype=bool)
+    every = np.ones(us.shape[:2], dtype=bool)
     for place, k in enumerate(nudged, start=1):
         us[place, ..., k] += side[..., k]
-        wanted[place] = batch.has(k)
+        every[place] = batch.has(k)
     for k in range(NUISANCES):
         vs[first_v + k, ..., k] -= NUDGE  # downwards, because the charge cannot exceed full
-    values, soc = batch.residuals(us, vs, wanted)
+    values, soc = batch.residuals(us, vs, every)
     values[1:] -= values[0]
     values[1:first_v] /= np.moveaxis(side[..., nudged], -1, 0)[..., None]
     values[first_v:] /= -NUDGE
-    values[1:][~wanted[1:]] = 0.0
+    values[1:][~every[1:]] = 0.0
     if nudged.size < columns.size:
         slopes = batch.slopes_on_knots(soc)
         values[0] += np.einsum("kcrm,crk->crm", slopes, u[..., batch.freed :])
@@ -189,12 +189,12 @@ def _refit_of(batch: Batch, state: _Linearised, u: Array, v: Array, i: int) -> R
     solved = np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1))
     information = a_uu - a_uv @ solved[..., :-1]
     score = g_u - (a_uv @ solved[..., -1:])[..., 0]
-    kept = len(batch.columns[i])
-    order = [*range(kept), *range(batch.freed, batch.size)]
+    width = len(batch.columns[i])
+    order = [*range(width), *range(batch.freed, batch.size)]
     return Refit(
         candidate=batch.candidates[i],
         columns=batch.columns[i],
-        u=u[i, :, :kept].copy(),
+        u=u[i, :, :width].copy(),
         knots=u[i, :, batch.freed :].copy(),
         v=v[i].copy(),
         chi2=state.chi2[i].copy(),

@@ -46,11 +46,11 @@ class Residual:
     @property
     def temp_rmse_K(self) -> float:
         """Return the size of the temperature residual [K]; NaN when it was not measured."""
-        known = self.temp_K[np.isfinite(self.temp_K)]
-        return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+        finite = self.temp_K[np.isfinite(self.temp_K)]
+        return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Residual]:
+def residuals(evidence: Evidence, simulated: Simulated, variant: int = 0) -> list[Residual]:
     """Return the residuals of every record under one simulated variant."""
     stack = evidence.stack
     out = []
@@ -63,11 +63,11 @@ def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Re
             Residual(
                 name=name,
                 time_s=stack.time_s[rows, j],
-                voltage_V=stack.voltage_V[rows, j] - shown.voltage_V[rows, variant, j],
-                temp_K=stack.temp_C[rows, j] - shown.temp_C[rows, variant, j],
+                voltage_V=stack.voltage_V[rows, j] - simulated.voltage_V[rows, variant, j],
+                temp_K=stack.temp_C[rows, j] - simulated.temp_C[rows, variant, j],
                 flatness=float(np.min(sigma)) / sigma,
                 current_A=amps,
-                soc=shown.soc[rows, variant, j],
+                soc=simulated.soc[rows, variant, j],
                 temp_C=stack.temp_C[rows, j],
                 rest=~loaded,
             )
@@ -75,14 +75,14 @@ def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Re
     return out
 
 
-def size_V(found: list[Residual]) -> float:
+def size_V(records: list[Residual]) -> float:
     """Return the size of the voltage residual over all records [V]."""
-    return float(np.sqrt(np.nanmean([r.voltage_rmse_V**2 for r in found])))
+    return float(np.sqrt(np.nanmean([r.voltage_rmse_V**2 for r in records])))
 
 
-def size_K(found: list[Residual]) -> float:
+def size_K(records: list[Residual]) -> float:
     """Return the size of the temperature residual over all records [K]; NaN when none was measured."""
-    sizes = np.array([r.temp_rmse_K for r in found])
+    sizes = np.array([r.temp_rmse_K for r in records])
     return float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else float("nan")
 
 
@@ -95,19 +95,19 @@ class Shape:
     time_scale_s: float
 
 
-def shape(found: list[Residual]) -> Shape:
+def shape(records: list[Residual]) -> Shape:
     """Find the variable whose thirds explain most of the voltage residual, and its correlation time [s]."""
-    error = np.concatenate([(r.voltage_V * r.flatness)[~r.rest] for r in found])
-    since = np.concatenate([(r.time_s - r.time_s[0])[~r.rest] for r in found])
+    error = np.concatenate([(r.voltage_V * r.flatness)[~r.rest] for r in records])
+    since = np.concatenate([(r.time_s - r.time_s[0])[~r.rest] for r in records])
     columns = {
-        "current": np.concatenate([r.current_A[~r.rest] for r in found]),
-        "state of charge": np.concatenate([r.soc[~r.rest] for r in found]),
-        "temperature": np.concatenate([r.temp_C[~r.rest] for r in found]),
+        "current": np.concatenate([r.current_A[~r.rest] for r in records]),
+        "state of charge": np.concatenate([r.soc[~r.rest] for r in records]),
+        "temperature": np.concatenate([r.temp_C[~r.rest] for r in records]),
         "time since take-off": since,
     }
     shares = {name: _explained_share(error, by) for name, by in columns.items() if np.isfinite(by).all()}
     best = max(shares, key=lambda k: shares[k])
-    return Shape(best, shares[best], float(np.median([_lasting(r) for r in found])))
+    return Shape(best, shares[best], float(np.median([_lasting(r) for r in records])))
 
 
 def _explained_share(error: Array, by: Array) -> float:
@@ -117,11 +117,11 @@ def _explained_share(error: Array, by: Array) -> float:
     return float(np.mean(means[group] ** 2) / max(float(np.mean(error**2)), 1e-12))
 
 
-def _lasting(found: Residual) -> float:
-    error = (found.voltage_V * found.flatness)[~found.rest]
+def _lasting(record: Residual) -> float:
+    error = (record.voltage_V * record.flatness)[~record.rest]
     if error.size < 4:
         return 0.0
     power = np.abs(np.fft.rfft(error - error.mean(), 2 * error.size)) ** 2
     correlation = np.fft.irfft(power)[: error.size]
     below = np.flatnonzero(correlation < correlation[1] / np.e)
-    return float((below[0] if below.size else error.size) * np.median(np.diff(found.time_s)))
+    return float((below[0] if below.size else error.size) * np.median(np.diff(record.time_s)))

@@ -58,8 +58,8 @@ def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
     for i, fit in enumerate(fits):
         d = fit.residual - best
         behind = fit.total - fits[first].total
-        stated = np.einsum("rme,rm->e", slopes, d)
-        spread = np.sqrt(float(np.sum(shared * d**2)) + float(np.sum(stated**2)))
+        declared = np.einsum("rme,rm->e", slopes, d)
+        spread = np.sqrt(float(np.sum(shared * d**2)) + float(np.sum(declared**2)))
         sigmas = max(float(np.sum(d**2)) + behind, 0.0) / max(2.0 * spread, 1e-6)
         out[i] = np.exp(-0.5 * min(sigmas / TEMPER, FARTHEST) ** 2)
     return out

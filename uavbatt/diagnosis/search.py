@@ -49,7 +49,7 @@ class FoundEffect:
 def search(
     problem: Problem,
     options: list[Candidate],
-    nothing: Refit,
+    unchanged: Refit,
     explains: Callable[[Refit], bool],
     tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
@@ -59,38 +59,42 @@ def search(
     then no pair is built on a suspect.
     """
     tell(f"{len(options)} candidate effects")
-    singles = trial(problem, nothing, options, FIRST_TURNS)
+    singles = trial(problem, unchanged, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
-    found: list[FoundEffect] = []
-    best, least = nothing, EARNED_IN_PART if in_part else EARNED
+    effects: list[FoundEffect] = []
+    best, least = unchanged, EARNED_IN_PART if in_part else EARNED
     if singles.largest_worth >= least:
-        found = [finding(problem, singles, max(least, EVEN))]
-        best = found[0].members[0]
-    found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
-    drift = found[0].drift if found else None
+        effects = [finding(problem, singles, max(least, EVEN))]
+        best = effects[0].members[0]
+    effects = (
+        [replace(effects[0], drift=_drift(problem, effects[0].members, singles))]
+        if effects
+        else _warms(problem, singles)
+    )
+    drift = effects[0].drift if effects else None
     # Nothing was found, or only a suspect: no pair is built on it.
     if drift is None and singles.largest_worth < EVEN and explains(best):
-        return best, found, singles
+        return best, effects, singles
     tell("pairs of effects")
     pair = best_pair(problem, options, singles, drift or best)
     two = _two(problem, options, singles, pair) if pair is not None else []
     if not two:
-        return best, found, singles
+        return best, effects, singles
     return min((f.members[0] for f in two), key=lambda f: f.total), two, singles
 
 
 def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair) -> list[FoundEffect]:
     """Return the two effects of a pair, each with its rivals beside the other; none if one of them falls there."""
     both = []
-    for known in (pair.fit.with_effects_swapped, pair.fit):
-        alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
+    for alternative in (pair.fit.with_effects_swapped, pair.fit):
+        alone = next(f for f in singles.fits if f.candidate.name == alternative.candidate.names[0])
         alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # so that it converges
-        beside = trial(problem, alone, options, FURTHER_TURNS, known)
+        beside = trial(problem, alone, options, FURTHER_TURNS, alternative)
         if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
             return []
-        found = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
-        share = max(pair.share(member.candidate.name) for member in found.members)
-        both.append(replace(found, probability=min(found.probability, share)))
+        pair_finding = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
+        share = max(pair.share(member.candidate.name) for member in pair_finding.members)
+        both.append(replace(pair_finding, probability=min(pair_finding.probability, share)))
     if any(f.worth.value < EARNED for f in both):
         return []
     return sorted(both, key=lambda f: -f.worth.value)
@@ -109,18 +113,18 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
     The best single effect, under any of its names, may drift with time. The voltage gain may drift with temperature;
     its saving is measured against the member of the class that predicts best.
     """
-    tried = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
+    drifts = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
-    tried += [(drifting(problem, fit, "temperature"), steadiest) for fit in _that_warm(problem, singles)]
-    saves = [(saved(drift, steady), drift) for drift, steady in tried if drift is not None]
+    drifts += [(drifting(problem, fit, "temperature"), steadiest) for fit in _that_warm(problem, singles)]
+    saves = [(saved(drift, steady), drift) for drift, steady in drifts if drift is not None]
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 
 
 def _that_warm(problem: Problem, singles: Trial) -> list[Refit]:
     """Return the refit of the voltage gain if the records have a temperature, else nothing."""
-    known = problem.evidence.has_temperature
-    return [fit for fit in singles.fits if known and fit.candidate.name == WARMS]
+    has_temperature = problem.evidence.has_temperature
+    return [fit for fit in singles.fits if has_temperature and fit.candidate.name == WARMS]
 
 
 def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
@@ -130,36 +134,36 @@ def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
     """
     for fit in _that_warm(problem, singles):
         drift = drifting(problem, fit, "temperature")
-        if drift is not None and (its := worth(drift, singles.before)).value > EARNED_BESIDE:
-            sure = no_chance(problem, fit, singles.before, its, EARNED_BESIDE)
-            return [FoundEffect(members=(fit,), worth=its, outside=(), probability=sure, drift=drift)]
+        if drift is not None and (gain := worth(drift, singles.before)).value > EARNED_BESIDE:
+            sure = no_chance(problem, fit, singles.before, gain, EARNED_BESIDE)
+            return [FoundEffect(members=(fit,), worth=gain, outside=(), probability=sure, drift=drift)]
     return []
 
 
-def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
+def finding(problem: Problem, trial: Trial, earned: float) -> FoundEffect:
     """Return the class of the rivals that the records cannot tell from the best one.
 
     The likelihood of a rival falls with the spread of its value between records; small differences of that spread have
     little influence. `earned` is the worth that the best one had to exceed. An effect that barely exceeds it may well
     be chance: of eight second effects with a worth of 12 to 15, five were right.
     """
-    fits = [tried.fits[i] for i in tried.rivals]
-    spread = np.array([c.spread if (c := tried.worths[i].constancy) else 0.0 for i in tried.rivals])
+    fits = [trial.fits[i] for i in trial.rivals]
+    spread = np.array([c.spread if (c := trial.worths[i].constancy) else 0.0 for i in trial.rivals])
     likely = likeliness(problem, fits) * np.exp(-0.5 * np.minimum(spread / UNSTEADY, FARTHEST) ** 2)
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
-    members = [int(order[k]) for k in members_of_class([fits[i] for i in order], likely[order], tried.before)]
-    its = tried.worths[tried.rivals[members[0]]]
+    members = [int(order[k]) for k in members_of_class([fits[i] for i in order], likely[order], trial.before)]
+    gain = trial.worths[trial.rivals[members[0]]]
     return FoundEffect(
         members=tuple(fits[i] for i in members),
-        worth=its,
+        worth=gain,
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
-        probability=float(np.sum(likely[members])) * no_chance(problem, fits[members[0]], tried.before, its, earned),
+        probability=float(np.sum(likely[members])) * no_chance(problem, fits[members[0]], trial.before, gain, earned),
     )
 
 
-def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
+def no_chance(problem: Problem, fit: Refit, before: Refit, gain: Worth, earned: float) -> float:
     """Return the probability that an effect is not chance, from its worth and the worth that it had to exceed.
 
     An effect of a pair is judged in two ways, and the mean counts, because each way was wrong in cases where the other
@@ -167,10 +171,10 @@ def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: f
     explain the effect away. The probability is limited to SUSPECT unless flights that are no colder than those which
     the file's error was learned on give the required worth: in the cold that error is only a guess.
     """
-    views = [max(its.value, 0.0)]
+    views = [max(gain.value, 0.0)]
     if before.candidate.names:
         bent = refit(problem, [fit.candidate, before.candidate], start=[fit, before], file_errors=True)
         views.append(min(max(bent[1].total - bent[0].total, 0.0), views[0]))
     share = float(np.mean([view / (view + earned) for view in views]))
-    known_there = min(its.value, its.on(problem.evidence.familiar))
+    known_there = min(gain.value, gain.on(problem.evidence.familiar))
     return share if known_there >= earned else min(share, SUSPECT)

@@ -67,15 +67,15 @@ def _courses(stack: Stack) -> Array:
 
 def _warmth(stack: Stack) -> Array:
     """Return the place of each row between the coldest and the warmest reading, -1/2 to 1/2; 0 without a reading."""
-    known = np.isfinite(stack.temp_C)
-    if not np.any(known):
+    measured = np.isfinite(stack.temp_C)
+    if not np.any(measured):
         return np.zeros_like(stack.temp_C)
-    coldest_C, warmest_C = np.min(stack.temp_C[known]), np.max(stack.temp_C[known])
+    coldest_C, warmest_C = np.min(stack.temp_C[measured]), np.max(stack.temp_C[measured])
     middle_C = 0.5 * (coldest_C + warmest_C)
     place = np.zeros_like(stack.temp_C)
-    for j in np.flatnonzero(np.any(known, axis=0)):
-        read = known[:, j]
-        temp_C = np.interp(stack.time_s[:, j], stack.time_s[read, j], stack.temp_C[read, j])
+    for j in np.flatnonzero(np.any(measured, axis=0)):
+        rows = measured[:, j]
+        temp_C = np.interp(stack.time_s[:, j], stack.time_s[rows, j], stack.temp_C[rows, j])
         place[:, j] = (temp_C - middle_C) / (float(warmest_C - coldest_C) or 1.0)
     return place
 
@@ -88,11 +88,11 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     """
     records = len(evidence.names)
     position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 1, len(SHIFTS_S) - 2.001)
-    left = position.astype(int)
+    lower = position.astype(int)
     column = np.arange(delay_s.size)
     weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
-    for place, weight in enumerate(_keys(position - left), start=-1):
-        weights[left + place, column] = weight
+    for place, weight in enumerate(_keys(position - lower), start=-1):
+        weights[lower + place, column] = weight
     weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # only the change: the record itself may be averaged in another way
     current = np.tile(evidence.stack.current_A, (1, variants))
     for j in range(records):
@@ -164,8 +164,8 @@ def _voltages(cell: Parameters, installation: Installation, states: State, rate:
         columns = {k: v for k, v in cell._asdict().items() if k not in TABLES and np.ndim(v) == 1}
         part = cell._replace(**{k: v[weak] for k, v in columns.items()})
         few = State(*(column[:, weak] for column in states))
-        its = installation._replace(deficit=np.asarray(installation.deficit)[weak])
-        out[:, weak] += pack.weak_voltage(its, part, few, rate[:, weak]) - strong[:, weak]
+        weak_cell = installation._replace(deficit=np.asarray(installation.deficit)[weak])
+        out[:, weak] += pack.weak_voltage(weak_cell, part, few, rate[:, weak]) - strong[:, weak]
     return out
 
 

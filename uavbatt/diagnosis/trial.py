@@ -56,16 +56,20 @@ class Trial:
         return self.worths[i].value > 0.5 * EARNED or not same(self.fits[i], self.before)
 
 
-def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
+def trial(
+    problem: Problem, before: Refit, options: list[Candidate], turns: int, reference: Refit | None = None
+) -> Trial:
     """Try every option beside the effects of `before`.
 
     turns : iterations of the refits; known : a refit in which one of the options is known to end; that one starts
     there.
     """
     free = [o for o in options if not related(o.names, before.candidate.names)]
-    tried = [before.candidate.plus(o) for o in free]
-    starts = [known if known is not None and c.names == known.candidate.names else before for c in tried]
-    fits = refit(problem, tried, start=starts, iterations=turns)
+    with_option = [before.candidate.plus(o) for o in free]
+    starts = [
+        reference if reference is not None and c.names == reference.candidate.names else before for c in with_option
+    ]
+    fits = refit(problem, with_option, start=starts, iterations=turns)
     fits.sort(key=lambda f: f.total)
     return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
 

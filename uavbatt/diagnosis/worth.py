@@ -81,8 +81,8 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
 
 def known_share(fit: Refit, name: str) -> float:
     """Return the share of an effect's variance that is not due to errors of the file, for its best known quantity."""
-    its = fit.candidate.slice_of(name)
-    alone, considered = (np.diagonal(fit.covariance_u(considered=c))[its] for c in (False, True))
+    columns = fit.candidate.slice_of(name)
+    alone, considered = (np.diagonal(fit.covariance_u(considered=c))[columns] for c in (False, True))
     return float(np.max(alone / considered))
 
 
@@ -148,6 +148,6 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
     return Constancy(freed.value(own_u), float(abs(apart - common) / max(change, DOUBTS * doubt)))
 
 
-def is_steady(found: Constancy | None) -> bool:
+def is_steady(constancy: Constancy | None) -> bool:
     """Return True if the records agree on the value, or if there is nothing to compare."""
-    return found is None or found.spread <= UNSTEADY
+    return constancy is None or constancy.spread <= UNSTEADY

@@ -62,24 +62,26 @@ def fit_battery(
 ) -> FittedBattery:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
-    flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
-    if not bench and not flown:
+    flight_records = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
+    if not bench and not flight_records:
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
-    stack = observed.stack(bench + flown)
-    effects, own_prior = _freedom(len(bench), len(flown))
-    found = solve.fit_battery(
+    stack = observed.stack(bench + flight_records)
+    effects, own_prior = _freedom(len(bench), len(flight_records))
+    fit = solve.fit_battery(
         stack, effects, own_prior=own_prior, progress=progress, evaluations=60, has_bench=bool(bench)
     )
-    error = {s.name: found.standard_error(s.name) for s in found.slots}
-    has_spread = len(flown) > 2 and not bench
-    spread = float(np.std(found.own[:, 1])) if has_spread else 0.0
+    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    has_spread = len(flight_records) > 2 and not bench
+    spread = float(np.std(fit.own[:, 1])) if has_spread else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
-    shown = solve.replay_fit(stack, found)
-    source = f"{len(bench)} bench tests, {len(flown)} flights"
-    left = assemble.discrepancy(stack, shown, size.cells, held_out=False, source=source)
-    typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
-    left = msgspec.structs.replace(left, wander=wander.learn(stack, shown, list(typical), size.cells))
-    doubtful, unknown = _doubtful(found), _unknown_words(found, stack, bool(bench))
+    trajectory = solve.replay_fit(stack, fit)
+    source = f"{len(bench)} bench tests, {len(flight_records)} flights"
+    discrepancy = assemble.discrepancy(stack, trajectory, size.cells, held_out=False, source=source)
+    typical = range(len(bench), len(stack.names)) if len(flight_records) > 1 else range(len(stack.names))
+    discrepancy = msgspec.structs.replace(
+        discrepancy, wander=wander.learn(stack, trajectory, list(typical), size.cells)
+    )
+    doubtful, unknown = _doubtful(fit), _unknown_words(fit, stack, bool(bench))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
@@ -88,22 +90,22 @@ def fit_battery(
             capacity_Ah=size.capacity_Ah,
             cutoff_V=size.cutoff_V,
             low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
-            source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
+            source=f"fitted to {len(bench)} bench tests and {len(flight_records)} flights",
             remarks=[*doubtful, *unknown],
         ),
         parameters=assemble.parameter_table(
-            *(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
-            spread_flights=len(flown) if has_spread else None,
+            *(fit.slots, fit.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
+            spread_flights=len(flight_records) if has_spread else None,
         ),
-        effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
-        discrepancy=left,
+        effects=assemble.effect_entries(fit.slots, fit.x, error, fit.effects),
+        discrepancy=discrepancy,
         certificate=Certificate(
             status="fitted",
             data_sha256=datasets[0].sha256 if len(datasets) == 1 else "",
             statistics=_range_C(stack),
         ),
     )
-    return FittedBattery(file, _known_words(found), unknown, doubtful)
+    return FittedBattery(file, _known_words(fit), unknown, doubtful)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
@@ -130,15 +132,15 @@ def size_of(
     if series is None:
         raise UsageError("cells: neither a data set nor a vehicle states them: give --cells")
     _check_caller(series if cells else None, cutoff_V, series, datasets, flights)
-    found = [possible_facts(f.facts_at(np.inf), series, FirstVoltages()) for f in flights]
-    facts, notices = [said for said, _ in found], dict.fromkeys(n for _, words in found for n in words)
-    stated = [d.capacity_Ah for d in datasets if d.capacity_Ah] + [f.capacity_Ah for f in facts]
-    capacity = _first([capacity_Ah, *stated])
+    checked = [possible_facts(f.facts_at(np.inf), series, FirstVoltages()) for f in flights]
+    facts, notices = [fact for fact, _ in checked], dict.fromkeys(n for _, words in checked for n in words)
+    capacities_Ah = [d.capacity_Ah for d in datasets if d.capacity_Ah] + [f.capacity_Ah for f in facts]
+    capacity = _first([capacity_Ah, *capacities_Ah])
     if not np.isfinite(capacity):
         raise UsageError("capacity: neither a data set nor a vehicle states it: give --capacity-ah")
     critical_V = _first([*[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets]])
-    said = PackFacts(capacity_Ah=float(capacity), critical_voltage_V=float(critical_V))
-    size = size_of_pack(generic_lipo(), PackOptions(int(series), cutoff_V=cutoff_V), said, int(series))
+    fact = PackFacts(capacity_Ah=float(capacity), critical_voltage_V=float(critical_V))
+    size = size_of_pack(generic_lipo(), PackOptions(int(series), cutoff_V=cutoff_V), fact, int(series))
     return RecordedPack(name, size.cells, size.capacity_Ah, size.cutoff_V, tuple(notices))
 
 
@@ -159,8 +161,8 @@ def _check_caller(
     if cells is None:
         return
     firsts = [(str(d.path), FirstVoltages(d.first_V)) for d in datasets]
-    for source, seen in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
-        doubt = cells_doubt(cells, seen, Resting())
+    for source, voltages in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
+        doubt = cells_doubt(cells, voltages, Resting())
         if doubt is not None and doubt.is_certain:
             raise UsageError(f"{source}: --cells: {doubt.words}")
 
@@ -169,11 +171,11 @@ def _first(values: list[float]) -> float:
     return next((v for v in values if np.isfinite(v)), float("nan"))
 
 
-def _known_words(found: BatteryFit) -> tuple[str, ...]:
+def _known_words(fit: BatteryFit) -> tuple[str, ...]:
     """Return each parameter with its standard error, in words."""
     lines = []
-    for i, slot in enumerate(found.slots):
-        value, sd = float(found.x[i]), found.standard_error(slot.name)
+    for i, slot in enumerate(fit.slots):
+        value, sd = float(fit.x[i]), fit.standard_error(slot.name)
         lines.append(f"{slot.name} = {value:.4g} ± {sd:.2g}")
     return tuple(lines)
 
@@ -190,18 +192,18 @@ def _measured_C(stack: Stack) -> tuple[float, float] | None:
     return (float(np.percentile(temps, 1.0)), float(np.percentile(temps, 99.0))) if temps.size else None
 
 
-def _doubtful(found: BatteryFit) -> tuple[str, ...]:
+def _doubtful(fit: BatteryFit) -> tuple[str, ...]:
     """Return in words which fitted values no LiPo cell has: they stand for another cause."""
-    names = [slot.name for slot, u in zip(found.slots, found.u, strict=True) if abs(u) > FAR_SDS]
+    names = [slot.name for slot, u in zip(fit.slots, fit.u, strict=True) if abs(u) > FAR_SDS]
     far = [name for name in names if name.startswith(ELECTRIC)]
     why = "another chemistry, or other cells, capacity or currents than stated? Do not trust it beyond these records"
     return (f"{', '.join(far)} lie far from those of LiPo cells: {why}",) if far else ()
 
 
-def _unknown_words(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
+def _unknown_words(fit: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     """Return in words which quantities the records do not determine."""
     told_nothing = [
-        s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
+        s.name for i, s in enumerate(fit.slots) if np.sqrt(fit.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
     ]
     lines = []
     if told_nothing:
@@ -214,8 +216,8 @@ def _unknown_words(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[st
             lines.append(f"no cold data: nothing below {span[0]:.0f} °C")
         if span[1] < 35.0:
             lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
-    drawn = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
-    lowest = float(np.min(found.own[:, 0] - drawn))
+    discharged_share = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
+    lowest = float(np.min(fit.own[:, 0] - discharged_share))
     if lowest > 0.1:
         lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
     if not has_bench:

@@ -41,12 +41,12 @@ def most_probable(
     Each search is a thread. It waits until all other running searches have also asked for a simulation.
     """
     loss: Literal["soft_l1", "linear"] = "soft_l1" if is_robust else "linear"
-    asked = SimpleQueue[tuple[int, Array | None]]()
+    questions = SimpleQueue[tuple[int, Array | None]]()
     answers = [SimpleQueue[Array | None]() for _ in starts]
 
     def search(k: int) -> OptimizeResult:
         def misfit(u: Array) -> Array:
-            asked.put((k, u))
+            questions.put((k, u))
             if (simulated := answers[k].get()) is None:
                 raise CancelledError
             return residuals[k](u, simulated)
@@ -55,12 +55,12 @@ def most_probable(
             objective, slopes = _with_slopes(misfit)
             return least_squares(objective, starts[k], slopes, loss=loss, max_nfev=evaluations, xtol=xtol, ftol=ftol)
         finally:
-            asked.put((k, None))
+            questions.put((k, None))
 
     with ThreadPoolExecutor(max(len(starts), 1)) as threads:
         searches = [threads.submit(search, k) for k in range(len(starts))]
         try:
-            _answer(simulate, asked, answers)
+            _answer(simulate, questions, answers)
         finally:
             for answer in answers:
                 answer.put(None)
@@ -69,13 +69,13 @@ def most_probable(
 
 def _answer(
     simulate: Callable[[Array], Array],
-    asked: SimpleQueue[tuple[int, Array | None]],
+    questions: SimpleQueue[tuple[int, Array | None]],
     answers: list[SimpleQueue[Array | None]],
 ) -> None:
     """Simulate together what all running searches ask for, until none is left."""
     searching, waiting = len(answers), dict[int, Array]()
     while searching:
-        k, u = asked.get()
+        k, u = questions.get()
         if u is None:
             searching -= 1
         else:
@@ -91,14 +91,14 @@ def _answer(
 
 def _with_slopes(residuals: Callable[[Array], Array]) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
     """Return the residuals [numbers] of one u [slots], and their slopes [numbers, slots]."""
-    asked, known = np.empty(0), np.empty((0, 0))
+    last_u, last_residuals = np.empty(0), np.empty((0, 0))
 
     def around(u: Array) -> Array:
         """Return the residuals at u and at each of its finite differences; kept, as the search asks twice for one u."""
-        nonlocal asked, known
-        if not np.array_equal(u, asked):
-            asked, known = u.copy(), residuals(np.vstack([u, u + NUDGE * np.eye(u.size)]))
-        return known
+        nonlocal last_u, last_residuals
+        if not np.array_equal(u, last_u):
+            last_u, last_residuals = u.copy(), residuals(np.vstack([u, u + NUDGE * np.eye(u.size)]))
+        return last_residuals
 
     def objective(u: Array) -> Array:
         return np.asarray(around(u)[0])

@@ -117,8 +117,8 @@ def from_flight(
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
-        said = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
-        raise NotEnoughData(f"{flight.source}: {said}")
+        reason = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
+        raise NotEnoughData(f"{flight.source}: {reason}")
     cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
     temp_C = []
     for row in rows:
@@ -136,8 +136,8 @@ def from_flight(
     )
     times_s, index = np.unique(record.time_s, return_inverse=True)
     if times_s.size < LEAST_ROWS:
-        said = f"{times_s.size} different times: expected at least {LEAST_ROWS}"
-        raise NotEnoughData(f"{flight.source}: {said}")
+        reason = f"{times_s.size} different times: expected at least {LEAST_ROWS}"
+        raise NotEnoughData(f"{flight.source}: {reason}")
     return _merged(record, index) if times_s.size < len(rows) else record
 
 
@@ -167,10 +167,10 @@ def binned(record: ObservedRecord) -> ObservedRecord:
     index = np.floor((record.time_s - record.time_s[0]) / BIN_S).astype(int)
     _, index = np.unique(index, return_inverse=True)
     merged = _merged(record, index)
-    found = merged.time_s.size
-    if found < LEAST_BINS:
+    count = merged.time_s.size
+    if count < LEAST_BINS:
         raise NotEnoughData(
-            f"{record.name}: rows within {found} x {BIN_S:g} s: expected at least {LEAST_BINS} x {BIN_S:g} s"
+            f"{record.name}: rows within {count} x {BIN_S:g} s: expected at least {LEAST_BINS} x {BIN_S:g} s"
         )
     return merged
 
@@ -229,9 +229,9 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
 
 
 def _start_temp(record: ObservedRecord) -> float:
-    known = record.temp_C[np.isfinite(record.temp_C)][:8]
-    if known.size:
-        return float(np.median(known))
+    readings = record.temp_C[np.isfinite(record.temp_C)][:8]
+    if readings.size:
+        return float(np.median(readings))
     return record.ambient_C if np.isfinite(record.ambient_C) else 22.0
 
 

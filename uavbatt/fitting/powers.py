@@ -48,10 +48,10 @@ def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers 
 
     sensors : what the battery file knows of voltage and current sensor.
     """
-    told = [rows for flight in flights if (rows := flown_rows(flight, sensors)) is not None]
-    if not told:
+    rows_by_flight = [rows for flight in flights if (rows := flown_rows(flight, sensors)) is not None]
+    if not rows_by_flight:
         return None
-    fits = [_fit(told, induced_ms) for induced_ms in INDUCED_MS]
+    fits = [_fit(rows_by_flight, induced_ms) for induced_ms in INDUCED_MS]
     return min(fits, key=lambda fit: fit[0])[1]
 
 
@@ -62,10 +62,10 @@ def flown_rows(flight: Flight, sensors: Installation = AS_METERED) -> PowerRows 
     for sample in flight.samples:
         navigation = flight.navigation_at(sample.time_s)
         progress = progress.after(sample.time_s, navigation)
-        flown, power_W = progress.flown(sample.time_s, navigation), _power_W(sensors, sample)
+        motion, power_W = progress.flown(sample.time_s, navigation), _power_W(sensors, sample)
         row_s, before_s = sample.time_s - before_s, sample.time_s
-        if flown is not None and progress.is_steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
-            rows.append((sample.time_s, power_W, *map(float, flown), row_s))
+        if motion is not None and progress.is_steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
+            rows.append((sample.time_s, power_W, *map(float, motion), row_s))
     table = np.array(rows)
     if not len(table):
         return None
@@ -90,43 +90,47 @@ def _blocks(table: Array) -> PowerRows:
     return PowerRows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
 
 
-def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
+def _fit(rows_by_flight: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
     """Fit the law of all flights and the hover power of each, in turns; return the misfit and the powers."""
-    columns = plain = [terms(*rows[1:5], induced_ms) for rows in told]
+    columns = plain = [terms(*rows[1:5], induced_ms) for rows in rows_by_flight]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
-    counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
-    count, crowd = np.concatenate(counts), _crowds(told, counts)
+    counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in rows_by_flight]
+    count, crowd = np.concatenate(counts), _crowds(rows_by_flight, counts)
     ends = np.cumsum([len(c) for c in columns])[:-1]
-    hovers_W, noise = np.ones(len(told)), NOISE
+    hovers_W, noise = np.ones(len(rows_by_flight)), NOISE
     for _ in range(TURNS):
         variance = noise**2 + crowd * SHAPE_SD**2
         weight = count / variance
         hovers_W = np.array(
             [
                 w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2)
-                for r, c, w in zip(told, columns, np.split(weight, ends), strict=True)
+                for r, c, w in zip(rows_by_flight, columns, np.split(weight, ends), strict=True)
             ]
         )
         columns = [_dragged(c, h / hovers_W.mean()) for c, h in zip(plain, hovers_W, strict=True)]
         design = np.concatenate(columns)
-        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
+        excess = np.concatenate(
+            [r.power_W / hover_W - 1.0 for r, hover_W in zip(rows_by_flight, hovers_W, strict=True)]
+        )
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
-        shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
-        noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=count))), LEAST_NOISE)
-    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W, strict=True)]
+        shares = np.linalg.solve(normal, (design.T * weight) @ excess + prior / PRIOR_SD**2)
+        noise = max(float(np.sqrt(np.average((excess - design @ shares) ** 2, weights=count))), LEAST_NOISE)
+    residuals = [
+        r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(rows_by_flight, columns, hovers_W, strict=True)
+    ]
     entropy = float(count @ np.log(variance))
     shape_sd = _fast_shape_sd(normal, shares, induced_ms)
-    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
+    misfit = float(weight @ np.concatenate(residuals) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
     return misfit, Powers(
         hover_W=_rounded(float(np.mean(hovers_W)), 1),
         induced_ms=induced_ms,
         **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
-        fast_sd=_rounded(math.hypot(_spread(_unusual(told, left), FAST_SD), shape_sd), 4),
-        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(left) ** 2, weights=count))), 4),
-        fastest_ms=_fastest_ms(told),
-        flights=len(told),
-        seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
+        fast_sd=_rounded(math.hypot(_spread(_unusual(rows_by_flight, residuals), FAST_SD), shape_sd), 4),
+        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(residuals) ** 2, weights=count))), 4),
+        fastest_ms=_fastest_ms(rows_by_flight),
+        flights=len(rows_by_flight),
+        seconds=_rounded(sum(float(r.length_s.sum()) for r in rows_by_flight), 0),
     )
 
 
@@ -136,9 +140,9 @@ def _fast_shape_sd(normal: Array, shares: Array, induced_ms: float) -> float:
     return math.sqrt(float(column @ np.linalg.solve(normal, column))) / (1.0 + float(column @ shares))
 
 
-def _fastest_ms(told: list[PowerRows]) -> float:
+def _fastest_ms(rows_by_flight: list[PowerRows]) -> float:
     """Return the airspeed [m/s] of the fastest block, at least KNOWN_MS, which other aircraft have shown."""
-    airspeed_ms = np.concatenate([rows.airspeed_ms for rows in told])
+    airspeed_ms = np.concatenate([rows.airspeed_ms for rows in rows_by_flight])
     return max(KNOWN_MS, _rounded(float(np.quantile(airspeed_ms, FASTEST_SHARE)), 1))
 
 
@@ -147,17 +151,19 @@ def _dragged(columns: Array, level: float) -> Array:
     return columns / np.where(np.array(TERMS) == "drag", level, 1.0)
 
 
-def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:
+def _crowds(rows_by_flight: list[PowerRows], counts: list[Array]) -> Array:
     """Return how many blocks share the cell of 1 m/s airspeed and climb of each block, over all flights."""
-    flown = np.floor(np.concatenate([np.stack([rows.airspeed_ms, rows.climb_ms + 0.5], axis=1) for rows in told]))
-    _, cell = np.unique(flown, axis=0, return_inverse=True)
+    bins = np.floor(
+        np.concatenate([np.stack([rows.airspeed_ms, rows.climb_ms + 0.5], axis=1) for rows in rows_by_flight])
+    )
+    _, cell = np.unique(bins, axis=0, return_inverse=True)
     return np.asarray(np.bincount(cell, np.concatenate(counts))[cell], float)
 
 
-def _unusual(told: list[PowerRows], left: list[Array]) -> Array:
+def _unusual(rows_by_flight: list[PowerRows], residuals: list[Array]) -> Array:
     """Return the error of each flight's mean power away from hover, where it flies fast or climbs."""
     means = []
-    for rows, misfit in zip(told, left, strict=True):
+    for rows, misfit in zip(rows_by_flight, residuals, strict=True):
         far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)
         if rows.length_s[far].sum() > 30.0:
             means.append(float(np.average(misfit[far], weights=rows.length_s[far])))

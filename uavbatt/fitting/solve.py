@@ -113,11 +113,11 @@ class _Unknowns:
     def evaluate(self, v: Array) -> tuple[Array, Array]:
         """Return the residuals [variants, rows·2, records] of v, and the OCV shape's [variants, differences]."""
         x, own = self.values(v)
-        shown = run(self.stack, self.slots, self.effects, x, own)
+        trajectory = run(self.stack, self.slots, self.effects, x, own)
         shape = prior.monotonicity_penalty(self.slots, x)
         if not self.has_bench:
             shape = np.concatenate([shape, prior.knee_penalty(self.slots, x)], axis=-1)
-        return residuals(self.stack, shown, v.shape[0]), shape
+        return residuals(self.stack, trajectory, v.shape[0]), shape
 
     def objective(self, v: Array) -> Array:
         misfit, shape = self.evaluate(v[None])
@@ -143,8 +143,8 @@ class _Unknowns:
 
 def _own_sd(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> Array:
     """Return the prior sds [records, 3] of each record's own unknowns."""
-    given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
-    pairs = zip(given, stack.rested, strict=True)
+    priors = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
+    pairs = zip(priors, stack.rested, strict=True)
     return np.array(
         [(p.rested_soc if at_rest else p.loaded_soc, p.log_resistance, p.log_capacity) for p, at_rest in pairs]
     )
@@ -177,7 +177,7 @@ def fit_battery(
     start = np.zeros(unknowns.shared + own_mean.size)
     if start_u is not None:
         start[: unknowns.shared] = start_u
-    found = least_squares(
+    solution = least_squares(
         unknowns.objective,
         *(start, jacobian),
         loss="soft_l1",
@@ -186,18 +186,18 @@ def fit_battery(
         xtol=1e-4,
         ftol=1e-4,
     )
-    slopes = np.asarray(found.jac, dtype=float)
-    known = slice(unknowns.shared)
+    slopes = np.asarray(solution.jac, dtype=float)
+    shared = slice(unknowns.shared)
     return BatteryFit(
         slots=slots,
         effects=effects,
-        u=found.x[known],
-        covariance_u=np.linalg.inv(slopes.T @ slopes)[known, known],
-        own=unknowns.values(found.x[None])[1][0],
-        cost=float(found.cost),
+        u=solution.x[shared],
+        covariance_u=np.linalg.inv(slopes.T @ slopes)[shared, shared],
+        own=unknowns.values(solution.x[None])[1][0],
+        cost=float(solution.cost),
     )
 
 
-def replay_fit(stack: Stack, found: BatteryFit, own: Array | None = None) -> Trajectory:
+def replay_fit(stack: Stack, fit: BatteryFit, own: Array | None = None) -> Trajectory:
     """Simulate the stack's records open-loop with the fitted cell; own [records, 3] replaces the fitted if given."""
-    return run(stack, found.slots, found.effects, found.x[None], (found.own if own is None else own)[None])
+    return run(stack, fit.slots, fit.effects, fit.x[None], (fit.own if own is None else own)[None])

@@ -80,10 +80,10 @@ def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...] = prior.BASE_EF
     alike: dict[bytes, list[int]] = {}
     for k, test in enumerate(tests):
         alike.setdefault(test.time_s.tobytes(), []).append(k)
-    found: dict[int, Posterior] = {}
+    posteriors: dict[int, Posterior] = {}
     for which in alike.values():
-        found.update(zip(which, _fit_alike([tests[k] for k in which], effects), strict=True))
-    return [found[k] for k in range(len(tests))]
+        posteriors.update(zip(which, _fit_alike([tests[k] for k in which], effects), strict=True))
+    return [posteriors[k] for k in range(len(tests))]
 
 
 def _fit_alike(tests: list[MeanTest], effects: tuple[str, ...]) -> list[Posterior]:
@@ -105,9 +105,9 @@ def _fit_alike(tests: list[MeanTest], effects: tuple[str, ...]) -> list[Posterio
 
     starts = [np.zeros(len(slots)) for _ in tests]
     searches = most_probable(simulate, [residuals_of(t) for t in tests], starts, evaluations=60, xtol=1e-6, ftol=1e-8)
-    return [_posterior(slots, effects, found) for found in searches]
+    return [_posterior(slots, effects, search) for search in searches]
 
 
-def _posterior(slots: tuple[Slot, ...], effects: tuple[str, ...], found: OptimizeResult) -> Posterior:
-    slopes = np.asarray(found.jac, dtype=float)
-    return Posterior(slots=slots, effects=effects, u=found.x, covariance_u=np.linalg.inv(slopes.T @ slopes))
+def _posterior(slots: tuple[Slot, ...], effects: tuple[str, ...], search: OptimizeResult) -> Posterior:
+    slopes = np.asarray(search.jac, dtype=float)
+    return Posterior(slots=slots, effects=effects, u=search.x, covariance_u=np.linalg.inv(slopes.T @ slopes))

@@ -51,10 +51,10 @@ def speeds(flights: list[Flight]) -> Speeds | None:
     """
     for flight in reversed(flights):
         settings = flight.navigation_at(math.inf).settings
-        said = {name: getattr(settings, name) for name in Speeds.__struct_fields__}
-        known = {name: round(value, 3) for name, value in said.items() if _may_be(name, value)}
-        if known:
-            return Speeds(**known)
+        stated = {name: getattr(settings, name) for name in Speeds.__struct_fields__}
+        plausible = {name: round(value, 3) for name, value in stated.items() if _may_be(name, value)}
+        if plausible:
+            return Speeds(**plausible)
     return None
 
 

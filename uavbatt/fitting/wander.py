@@ -55,16 +55,16 @@ def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array)
     log_sd : ln sd at SOC [variants, knots]; log_time, log_noise : ln tau and ln noise [variants].
     """
     soc = np.clip(misfit.soc, SOC[0], SOC[-1])
-    left = np.clip(np.searchsorted(SOC, soc) - 1, 0, SOC.size - 2)
-    share = (soc - SOC[left]) / (SOC[left + 1] - SOC[left])
-    sd = np.exp((1.0 - share) * log_sd[:, left] + share * log_sd[:, left + 1])  # [variants, rows, records]
+    lower = np.clip(np.searchsorted(SOC, soc) - 1, 0, SOC.size - 2)
+    share = (soc - SOC[lower]) / (SOC[lower + 1] - SOC[lower])
+    sd = np.exp((1.0 - share) * log_sd[:, lower] + share * log_sd[:, lower + 1])  # [variants, rows, records]
     scale = np.hypot(sd, TIMING_S * misfit.slope)
     noise = np.exp(2.0 * log_noise)[:, None]
-    kept = np.exp(-np.diff(misfit.time_s, axis=0, prepend=misfit.time_s[:1]) / np.exp(log_time)[:, None, None])
+    decay = np.exp(-np.diff(misfit.time_s, axis=0, prepend=misfit.time_s[:1]) / np.exp(log_time)[:, None, None])
     z, p = np.zeros(scale.shape[::2]), np.ones(scale.shape[::2])
     total = np.zeros(scale.shape[::2])
     for k in range(misfit.value.shape[0]):
-        z, p = kept[:, k] * z, 1.0 + kept[:, k] ** 2 * (p - 1.0)
+        z, p = decay[:, k] * z, 1.0 + decay[:, k] ** 2 * (p - 1.0)
         h, known = scale[:, k], misfit.known[k]
         spread = h * h * p + noise
         surprise = misfit.value[k] - h * z
@@ -90,8 +90,8 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
         return float(values[0]), (values[1:] - values[0]) / NUDGE
 
     bounds = [(low, low + 8.0) for low in least]
-    found = minimize(objective, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-    best: Array = np.exp(found.x)
+    minimum = minimize(objective, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+    best: Array = np.exp(minimum.x)
     return best
 
 

@@ -78,10 +78,10 @@ def fly_log(log: LogFile, job: Job, met: RememberedPack = NOT_MET) -> FlightRow:
 
 def _reason(error: UavbattError, log: LogFile) -> str:
     """Return the text of the error without the name of the log, which the row has already."""
-    said = str(error)
+    message = str(error)
     for name in (f"{log.name}: ", f"{log.name.removesuffix('.gz')}: ", f"{log.name}/"):
-        said = said.removeprefix(name)
-    return said
+        message = message.removeprefix(name)
+    return message
 
 
 def read(log: LogFile, job: Job) -> Flight:
@@ -112,19 +112,19 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: RememberedPack) -> Fligh
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad_row(log, job, "expected at least one row with a voltage")
-    found, info = outcome(run, pack.cutoff_V, job.settings.reserve_soc), describe(flight)
+    ending, info = outcome(run, pack.cutoff_V, job.settings.reserve_soc), describe(flight)
     row = replace(
-        _row(flight, run, pack, found),
+        _row(flight, run, pack, ending),
         file=log.name,
         aircraft=_aircraft(log, job, flight.identity.system),
         trust=info.trust,
         size_bytes=log.size,
     )
-    row = _scored(_identified(row, job), found)
+    row = _scored(_identified(row, job), ending)
     return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
 
 
-def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome) -> FlightRow:
+def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
     """Return the row of a replayed flight, without its aircraft and scores."""
     who, last = flight.identity, run[-1].estimate
     total = drawn(flight.samples, gap_limit_s(median_step_s(flight.samples)))
@@ -139,8 +139,8 @@ def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome)
         instance=flight.instance,
         instances=" ".join(str(i) for i in flight.instances),
         start_utc=_utc(who.start_utc_s),
-        duration_s=found.duration_s,
-        rows=found.rows,
+        duration_s=ending.duration_s,
+        rows=ending.rows,
         battery=pack.battery,
         certificate=pack.status,
         cells=pack.cells,
@@ -150,12 +150,12 @@ def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome)
         energy_Wh=total.energy_Wh,
         mean_power_W=total.energy_Wh * 3600.0 / total.time_s if total.time_s > 0.0 else NAN,
         temp_C=float(np.median(temps)) if temps else NAN,
-        end_voltage_V=found.end_voltage_V,
-        end_soc=found.end_soc,
-        end_soc_sd=found.end_soc_sd,
-        end_of_flight_s=found.end_of_flight_s,
-        refused_share=found.refused_in_air,
-        mean_nis=found.mean_nis,
+        end_voltage_V=ending.end_voltage_V,
+        end_soc=ending.end_soc,
+        end_soc_sd=ending.end_soc_sd,
+        end_of_flight_s=ending.end_of_flight_s,
+        refused_share=ending.refused_in_air,
+        mean_nis=ending.mean_nis,
         resistance_scale=last.resistance_scale,
         resistance_scale_sd=last.resistance_scale_sd,
         capacity_scale=last.capacity_scale,
@@ -167,16 +167,16 @@ def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome)
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:
     """Return the row with the name of its aircraft, and where that name comes from."""
-    named = str(getattr(row, job.by) or "") if job.by else ""
-    if named:
-        return replace(row, aircraft=named, aircraft_from="--by")
+    aircraft = str(getattr(row, job.by) or "") if job.by else ""
+    if aircraft:
+        return replace(row, aircraft=aircraft, aircraft_from="--by")
     return replace(row, aircraft_from="--aircraft" if job.aircraft_pattern else "folder")
 
 
-def _scored(row: FlightRow, found: Outcome) -> FlightRow:
+def _scored(row: FlightRow, ending: Outcome) -> FlightRow:
     """Return the row with the errors of the forecasts, if the log shows the end of flight."""
     scored: dict[str, float | bool] = {}
-    for checkpoint in found.checkpoints:
+    for checkpoint in ending.checkpoints:
         key = next(k for k in CHECKPOINTS if checkpoint.label.startswith(k))
         scored[f"inside_{key}"] = checkpoint.inside and math.isfinite(checkpoint.remaining_s)
         scored[f"error_{key}_s"] = checkpoint.error_s
@@ -189,24 +189,24 @@ def _warnings(flight: Flight, run: list[ReplayedRow]) -> list[str]:
 
 def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
     """Return the reasons why a person should look at this flight; empty if there are none."""
-    found = []
+    reasons = []
     if row.end_soc < EMPTY_SOC:
-        found.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
+        reasons.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
     elif math.isfinite(row.end_of_flight_s) and row.duration_s - row.end_of_flight_s > 30.0:
-        found.append("flew on below the cut-off voltage")
+        reasons.append("flew on below the cut-off voltage")
     if row.refused_share > MUCH_REFUSED:
-        found.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
+        reasons.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
     if row.mean_nis > HIGH_NIS:
-        found.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
+        reasons.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
     # a generic or edited file tells nothing here: new packs differ by more than that
     is_measured = row.certificate not in ("generic", "edited")
     if is_measured and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
-        found.append(f"resistance {row.resistance_scale:.2f} times the battery file's")
+        reasons.append(f"resistance {row.resistance_scale:.2f} times the battery file's")
     if row.error_120_s > OPTIMISTIC_S and row.inside_120 is False:
-        found.append(f"two minutes before the end the forecast was {row.error_120_s:.0f} s too long")
+        reasons.append(f"two minutes before the end the forecast was {row.error_120_s:.0f} s too long")
     if row.trust == "no":
-        found.append("not to be trusted: " + (doubts[0] if doubts else "see `uavbatt info`"))
-    return found
+        reasons.append("not to be trusted: " + (doubts[0] if doubts else "see `uavbatt info`"))
+    return reasons
 
 
 def _aircraft(log: LogFile, job: Job, system: int | None) -> str:

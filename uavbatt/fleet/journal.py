@@ -41,14 +41,14 @@ def key(log: LogFile, job_key: str, met: RememberedPack = NOT_MET) -> str:
 def job_key(job: Job) -> str:
     """Return a key of all settings of a job that change its rows."""
     vehicle = msgspec.json.encode(job.vehicle).decode()
-    said = "\0".join(map(repr, (job.settings, job.load, vehicle, job.by, job.aircraft_pattern)))
-    return _digest(f"{lesson_key(job)}\0{said}")
+    content = "\0".join(map(repr, (job.settings, job.load, vehicle, job.by, job.aircraft_pattern)))
+    return _digest(f"{lesson_key(job)}\0{content}")
 
 
 def lesson_key(job: Job) -> str:
     """Return a key of all settings of a job that change the records for the ledger."""
-    said = "\0".join(map(repr, (job.options, job.instance, job.join)))
-    return _digest(f"{__version__}\0{content_hash(job.battery)}\0{said}")
+    content = "\0".join(map(repr, (job.options, job.instance, job.join)))
+    return _digest(f"{__version__}\0{content_hash(job.battery)}\0{content}")
 
 
 class Journal(Generic[Row]):
@@ -121,14 +121,14 @@ class Journal(Generic[Row]):
 
         The number is -1 for a row of another run, None for a damaged line.
         """
-        said = _parsed(line)
-        if not isinstance(said.get("key"), str):
+        entry = _parsed(line)
+        if not isinstance(entry.get("key"), str):
             return None, False
-        number = self._keys.get(said["key"])
+        number = self._keys.get(entry["key"])
         if number is None:
             return -1, False  # of another run, perhaps by another version
         try:
-            return number, self._row_of(said).status == LOST
+            return number, self._row_of(entry).status == LOST
         except ValueError:
             return None, False
 
@@ -159,10 +159,10 @@ class Journal(Generic[Row]):
 
 def _parsed(line: bytes) -> dict[str, Any]:
     try:
-        said = json.loads(line)
+        entry = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return entry if isinstance(entry, dict) else {}
 
 
 def _digest(text: str) -> str:

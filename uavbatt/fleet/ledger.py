@@ -45,7 +45,7 @@ def packs_met(
     ledger: Ledger, lessons: Iterable[Numbered], filled: LedgerUpdate, logs: int, battery_sha256: str
 ) -> list[RememberedPack]:
     """Return the pack of each log with its health before that log; the ledger must be filled."""
-    found = [NOT_MET] * logs
+    met = [NOT_MET] * logs
     for name, flights in _by_pack(lessons).items():
         every = ledger.flights(name)
         for number, lesson in flights:
@@ -54,8 +54,8 @@ def packs_met(
             own = (after for after in every if after.flight.is_of(lesson.key, lesson.start_utc_s))
             words = [finding.words for after in own for finding in after.findings]
             words += [filled.left_out[number]] if number in filled.left_out else []
-            found[number] = RememberedPack(health, tuple(f"pack {name}: {one}" for one in words))
-    return found
+            met[number] = RememberedPack(health, tuple(f"pack {name}: {one}" for one in words))
+    return met
 
 
 def _by_pack(lessons: Iterable[Numbered]) -> dict[str, Sequence[Numbered]]:

@@ -48,7 +48,7 @@ class Lesson:
 def lesson_of(plain: Mapping[str, Any]) -> Lesson:
     """Return the lesson of a dictionary that `Lesson.plain` made. Raises ValueError for any other."""
     try:
-        found = Lesson(
+        lesson = Lesson(
             file=msgspec.convert(plain["file"], str),
             status=msgspec.convert(plain["status"], str),
             pack=msgspec.convert(plain["pack"], str),
@@ -58,9 +58,9 @@ def lesson_of(plain: Mapping[str, Any]) -> Lesson:
         )
     except (KeyError, msgspec.ValidationError) as error:
         raise ValueError(str(error)) from None
-    if found.status not in (OK, BAD, LOST):
-        raise ValueError(f"status `{found.status}`")
-    return found
+    if lesson.status not in (OK, BAD, LOST):
+        raise ValueError(f"status `{lesson.status}`")
+    return lesson
 
 
 def learn(log: LogFile, job: Job) -> Lesson:
@@ -68,13 +68,13 @@ def learn(log: LogFile, job: Job) -> Lesson:
     try:
         flight = read(log, job)
         name = name_of(flight)
-        found = flight_for_ledger(job.battery, job.options, flight).record if name else None
+        record = flight_for_ledger(job.battery, job.options, flight).record if name else None
     except Unreadable as error:
         return no_lesson(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it
         return Lesson(file=log.name, status=BAD)
     start_utc_s = flight.identity.start_utc_s
-    return Lesson(file=log.name, pack=name, key=key_of(flight.samples), start_utc_s=start_utc_s, taught=found)
+    return Lesson(file=log.name, pack=name, key=key_of(flight.samples), start_utc_s=start_utc_s, taught=record)
 
 
 def no_lesson(log: LogFile, _: str) -> Lesson:

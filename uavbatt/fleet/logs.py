@@ -52,21 +52,21 @@ def find_logs(patterns: Iterable[str], without: Iterable[str] = ()) -> list[LogF
     without : patterns of what is left out, of a log's whole path or address, or of its file name alone
     Raises UsageError for a pattern that names nothing, and when nothing is left.
     """
-    found: dict[str, LogFile] = {}
+    by_path: dict[str, LogFile] = {}
     for pattern in patterns:
         logs = list(_remote(pattern) if "://" in pattern else _local(pattern))
         if not logs:
             raise UsageError(f"{pattern}: expected the name of a log, a folder or a pattern of logs, found none")
-        found |= {log.name: log for log in logs}
+        by_path |= {log.name: log for log in logs}
     for pattern in without:
-        left_out = [name for name in found if _fits(name, pattern)]
+        left_out = [name for name in by_path if _fits(name, pattern)]
         if not left_out:
             raise UsageError(f"--exclude {pattern}: expected a pattern of a log's name or whole path, it fits none")
         for name in left_out:
-            del found[name]
-    if not found:
+            del by_path[name]
+    if not by_path:
         raise UsageError("--exclude: expected that some logs are left, all are left out")
-    return sorted(found.values(), key=lambda log: log.name)
+    return sorted(by_path.values(), key=lambda log: log.name)
 
 
 def _fits(name: str, pattern: str) -> bool:

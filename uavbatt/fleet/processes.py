@@ -92,7 +92,7 @@ class Processes(Generic[Row]):
 
     def finished(self) -> tuple[int, Row]:
         """Wait for the next row that comes back, and return it with the number of its log."""
-        return next(found for found in self._rows() if found is not None)
+        return next(row for row in self._rows() if row is not None)
 
     def _rows(self) -> Iterator[tuple[int, Row] | None]:
         """Yield the rows of workers that have finished, died, or grown too big."""
@@ -104,9 +104,9 @@ class Processes(Generic[Row]):
                     yield self._replace_worker(worker, f"it took more than {self._limit_bytes / 1e6:.0f} MB of memory")
             self._hand_out()
             for line in wait([worker.line for worker in self._workers], LOOK_PERIOD_S):
-                found = self._row_from(next(w for w in self._workers if w.line is line))
+                row = self._row_from(next(w for w in self._workers if w.line is line))
                 self._hand_out()
-                yield found
+                yield row
 
     def close(self) -> None:
         """End the workers, whatever they are working on."""

@@ -92,15 +92,15 @@ def learn_all(
         return Errand(logs[number], partial(lesson.learn, job=job), lesson.no_lesson)
 
     keys = _lesson_keys(logs, job)
-    with Journal(folder / LESSONS, _numbers(keys), lesson_of) as done:
-        yield from _worked_off(crew, errand, keys, done)
-        done.tidy()
+    with Journal(folder / LESSONS, _numbers(keys), lesson_of) as store:
+        yield from _worked_off(crew, errand, keys, store)
+        store.tidy()
 
 
 def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
     """Yield (number of the log, its lesson) of a finished first pass, without logs that could not be read."""
-    with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
-        yield from ((number, found) for number, found in done.rows() if found.status != LOST)
+    with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as store:
+        yield from ((number, lesson) for number, lesson in store.rows() if lesson.status != LOST)
 
 
 def run_fleet(
@@ -118,21 +118,21 @@ def run_fleet(
     """
 
     def errand(number: int, each: int) -> Errand[FlightRow]:
-        flown = replace(job, flights_each=each)
-        work = partial(fly.fly_log, job=flown, met=met[number] if met else NOT_MET)
-        return Errand(logs[number], work, partial(fly.lost_row, job=flown))
+        flight_job = replace(job, flights_each=each)
+        work = partial(fly.fly_log, job=flight_job, met=met[number] if met else NOT_MET)
+        return Errand(logs[number], work, partial(fly.lost_row, job=flight_job))
 
     keys = _keys(logs, job, met)
-    with Journal(folder / JOURNAL, _numbers(keys), row_of) as done:
-        yield from _worked_off(crew, errand, keys, done)
-        tables.write_tables(folder, (row for _, row in done.rows()))
-        done.tidy()
+    with Journal(folder / JOURNAL, _numbers(keys), row_of) as store:
+        yield from _worked_off(crew, errand, keys, store)
+        tables.write_tables(folder, (row for _, row in store.rows()))
+        store.tidy()
 
 
 def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack] = ()) -> Iterator[FlightRow]:
     """Yield the rows of a finished run, one at a time."""
-    with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as done:
-        yield from (row for _, row in done.rows())
+    with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as store:
+        yield from (row for _, row in store.rows())
 
 
 def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack]) -> list[str]:
@@ -153,20 +153,20 @@ def _worked_off(
     crew: AbstractContextManager[Workers[journal.Row]],
     errand: Callable[[int, int], Errand[journal.Row]],
     keys: Sequence[str],
-    done: Journal[journal.Row],
+    store: Journal[journal.Row],
 ) -> Iterator[FinishedLog]:
     """Work off the errands of all logs without a row in the journal.
 
     errand : makes the errand of the log with a number, for a worker that does about so many of them.
     """
-    yield FinishedLog(None, len(done), len(keys), done.dropped)
-    to_do = [number for number in range(len(keys)) if number not in done]
+    yield FinishedLog(None, len(store), len(keys), store.dropped)
+    to_do = [number for number in range(len(keys)) if number not in store]
     if not to_do:
         return
     with crew as at_work:
         for number, row in _sent_out(at_work, errand, to_do):
-            done.add(number, keys[number], row)
-            yield FinishedLog(row, len(done), len(keys))
+            store.add(number, keys[number], row)
+            yield FinishedLog(row, len(store), len(keys))
 
 
 def _sent_out(
@@ -174,8 +174,8 @@ def _sent_out(
 ) -> Iterator[tuple[int, Row]]:
     """Send out the errands, and yield (number of the log, its row) as they come back."""
     each, sent = len(to_do) // crew.size, 0
-    for done in range(len(to_do)):
-        while sent < len(to_do) and sent - done < _UNDER_WAY_PER_WORKER * crew.size:
+    for count in range(len(to_do)):
+        while sent < len(to_do) and sent - count < _UNDER_WAY_PER_WORKER * crew.size:
             crew.send(to_do[sent], errand(to_do[sent], each))
             sent += 1
         yield crew.finished()

@@ -63,6 +63,6 @@ def _schema(pyarrow: Any) -> Any:
 
 
 def _batches(rows: Iterable[FlightRow]) -> Iterator[list[dict[str, Any]]]:
-    left = iter(rows)
-    while batch := [row.plain() for row in islice(left, _BATCH)]:
+    unread = iter(rows)
+    while batch := [row.plain() for row in islice(unread, _BATCH)]:
         yield batch

@@ -42,14 +42,14 @@ def _study(page: ValidationPage, number: int) -> str:
 
 
 def _values(run: Run, quantity: str) -> Array:
-    made: Array = getattr(run, quantity)
-    return made
+    readings: Array = getattr(run, quantity)
+    return readings
 
 
 def _curve(axes: Axes, run: Run, quantity: str, style: tuple[str, str], name: str, weight: float = 0.9) -> None:
     y = _values(run, quantity)
-    known = ~np.isnan(y)
-    t, y = run.time_s[known], y[known]
+    measured = ~np.isnan(y)
+    t, y = run.time_s[measured], y[measured]
     step = max(1, t.size // 300)
     axes.plot(t[::step] / 60.0, y[::step], style[1], color=style[0], linewidth=weight, label=name, alpha=0.85)
 
@@ -57,10 +57,10 @@ def _curve(axes: Axes, run: Run, quantity: str, style: tuple[str, str], name: st
 def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
     """Draw every run at the page's temperature, one style a sample; one-time curves are dotted in red."""
     many, single = repeated(page)
-    seen: dict[str, tuple[str, str]] = {}
+    styles: dict[str, tuple[str, str]] = {}
     for run in many:
-        new = run.sample not in seen
-        style = seen.setdefault(run.sample, SAMPLES[len(seen) % len(SAMPLES)])
+        new = run.sample not in styles
+        style = styles.setdefault(run.sample, SAMPLES[len(styles) % len(SAMPLES)])
         _curve(axes, run, quantity, style, f"{'' if new else '_'}sample {plot.literal(run.sample)}")
     for i, run in enumerate(single):
         if np.isfinite(_values(run, quantity)).any():
@@ -100,71 +100,71 @@ def _edges(axes: Axes, at: Array, mean: Array, corridor: Corridor, scale: float 
                 axes.plot(at, mean + sign * scale * half, color=plot.FAINT, linewidth=1.1, linestyle=style, label=label)
 
 
-def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: int) -> Html:
+def corridor(page: ValidationPage, band: Corridor, model: Array | None, study: int) -> Html:
     """Draw the study's Figure 4 or 5 (`study`): mean, corridor, runs and model, in the unit of the readings."""
-    minutes = found.at / 60.0
+    minutes = band.at / 60.0
 
     def draw(axes: Axes) -> None:
-        _shade(axes, minutes, found.mean - found.C, found.mean + found.C)
+        _shade(axes, minutes, band.mean - band.C, band.mean + band.C)
         many, _ = repeated(page)
         for run in many:
-            _curve(axes, run, found.quantity, (plot.FAINT, "-"), "_run", 0.5)
-        axes.plot(minutes, found.mean, color=plot.BLUE, label="mean")
+            _curve(axes, run, band.quantity, (plot.FAINT, "-"), "_run", 0.5)
+        axes.plot(minutes, band.mean, color=plot.BLUE, label="mean")
         if model is not None:
             axes.plot(page.model.time_s / 60.0, model, "x", color=plot.RED, markersize=6, label="model, held out")
 
-    name = NAMES[found.quantity]
+    name = NAMES[band.quantity]
     alt = f"Mean {name} with its corridor, every run and the model's prediction of runs it was not fitted to."
     return figure(
-        plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
+        plot.panel(draw, alt, x=MINUTES, y=AXIS[band.quantity]),
         f"Corridor of the {name} at {celsius(page.found.ambient_C)}{_study(page, study)}",
         "The corridor is narrow compared with the fall of the curve: the next drawing shows the deviations alone.",
     )
 
 
-def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Html:
+def departures(page: ValidationPage, band: Corridor, model: Array | None) -> Html:
     """Draw corridor, wider bands, runs and model as deviations from the mean of the tests."""
-    minutes, scale = found.at / 60.0, 1000.0 if found.quantity == "voltage_V" else 1.0
+    minutes, scale = band.at / 60.0, 1000.0 if band.quantity == "voltage_V" else 1.0
 
     def draw(axes: Axes) -> None:
-        zero = np.zeros(found.at.size)
-        _shade(axes, minutes, -scale * found.C, scale * found.C)
-        _edges(axes, minutes, zero, found, scale)
+        zero = np.zeros(band.at.size)
+        _shade(axes, minutes, -scale * band.C, scale * band.C)
+        _edges(axes, minutes, zero, band, scale)
         many, single = repeated(page, as_read=True)
         for i, run in enumerate(many):
-            _departure(axes, run, found, scale, (plot.BLUE, "-"), "_" * (i > 0) + "runs", 0.6)
+            _departure(axes, run, band, scale, (plot.BLUE, "-"), "_" * (i > 0) + "runs", 0.6)
         for i, run in enumerate(single):
-            _departure(axes, run, found, scale, (plot.RED, ":"), "_" * (i > 0) + "tested once", 1.8)
+            _departure(axes, run, band, scale, (plot.RED, ":"), "_" * (i > 0) + "tested once", 1.8)
         if model is not None:
-            gap = scale * (model - np.interp(page.model.time_s, found.at, found.mean))
+            gap = scale * (model - np.interp(page.model.time_s, band.at, band.mean))
             axes.plot(page.model.time_s / 60.0, gap, "x", color=plot.RED, markersize=6, label="model, held out")
-        _frame(axes, found, scale)
+        _frame(axes, band, scale)
 
-    held = f" Of genuine curves {found.covers_all:.0%} stay inside mean ± C at every instant."
+    share_words = f" Of genuine curves {band.covers_all:.0%} stay inside mean ± C at every instant."
     cut = " Curves that leave the drawing lie further out."
     alt = "Deviations of runs and model from the mean of the tests, with three bands."
-    said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
-    drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
+    note = "Blue: the repeated tests." + (share_words if math.isfinite(band.covers_all) else "") + cut
+    chart = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[band.quantity], legend_columns=3)
     return figure(
-        drawn, f"{sentence(NAMES[found.quantity])}: deviations from the mean at {celsius(page.found.ambient_C)}", said
+        chart, f"{sentence(NAMES[band.quantity])}: deviations from the mean at {celsius(page.found.ambient_C)}", note
     )
 
 
 def _departure(
-    axes: Axes, run: Run, found: Corridor, scale: float, style: tuple[str, str], name: str, weight: float
+    axes: Axes, run: Run, band: Corridor, scale: float, style: tuple[str, str], name: str, weight: float
 ) -> None:
-    y = _values(run, found.quantity)
-    known = ~np.isnan(y)
-    if int(known.sum()) < 2:
+    y = _values(run, band.quantity)
+    measured = ~np.isnan(y)
+    if int(measured.sum()) < 2:
         return
-    within = (found.at >= run.time_s[known][0]) & (found.at <= run.time_s[known][-1])
-    gap = scale * (np.interp(found.at[within], run.time_s[known], y[known]) - found.mean[within])
-    axes.plot(found.at[within] / 60.0, gap, style[1], color=style[0], linewidth=weight, label=name, alpha=0.8)
+    within = (band.at >= run.time_s[measured][0]) & (band.at <= run.time_s[measured][-1])
+    gap = scale * (np.interp(band.at[within], run.time_s[measured], y[measured]) - band.mean[within])
+    axes.plot(band.at[within] / 60.0, gap, style[1], color=style[0], linewidth=weight, label=name, alpha=0.8)
 
 
-def _frame(axes: Axes, found: Corridor, scale: float) -> None:
+def _frame(axes: Axes, band: Corridor, scale: float) -> None:
     """Set symmetric limits of the axis that hold the widest band."""
-    widest = [float(np.nanmax(b)) for b in (found.C, found.tolerance, found.simultaneous) if np.isfinite(b).any()]
+    widest = [float(np.nanmax(b)) for b in (band.C, band.tolerance, band.simultaneous) if np.isfinite(b).any()]
     if widest and max(widest) > 0:
         reach = 1.08 * scale * max(widest)
         axes.set_ylim(-reach, reach)
@@ -173,30 +173,30 @@ def _frame(axes: Axes, found: Corridor, scale: float) -> None:
 
 def in_time(page: ValidationPage) -> Html:
     """Draw the corridor of crossing times at fixed voltages, in seconds."""
-    found = time_corridor(page.found.readings, page.found.ambient_C)
+    band = time_corridor(page.found.readings, page.found.ambient_C)
     title = "When a voltage is reached: the corridor in time"
-    if found is None or not np.isfinite(found.C).any():
+    if band is None or not np.isfinite(band.C).any():
         return figure(
             paragraph("Not enough data: no voltage that every repeated run falls through.", css="quiet"), title
         )
 
     def draw(axes: Axes) -> None:
-        _shade(axes, found.at, -found.C, found.C)
-        _edges(axes, found.at, np.zeros(found.at.size), found)
+        _shade(axes, band.at, -band.C, band.C)
+        _edges(axes, band.at, np.zeros(band.at.size), band)
         for i, run in enumerate(repeated(page, as_read=True)[1]):
-            times = _first_falls(run.time_s, run.voltage_V, found.at)
+            times = _first_falls(run.time_s, run.voltage_V, band.at)
             name = "_" * (i > 0) + "tested once"
-            axes.plot(found.at, times - found.mean, ":", color=plot.RED, linewidth=1.8, label=name)
-        model = _first_falls(page.model.time_s, page.model.voltage_V, found.at)
-        axes.plot(found.at, model - found.mean, "x", color=plot.RED, markersize=6, label="model, held out")
+            axes.plot(band.at, times - band.mean, ":", color=plot.RED, linewidth=1.8, label=name)
+        model = _first_falls(page.model.time_s, page.model.voltage_V, band.at)
+        axes.plot(band.at, model - band.mean, "x", color=plot.RED, markersize=6, label="model, held out")
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         axes.invert_xaxis()
 
     alt = "Seconds earlier or later than the mean test at which each voltage is reached, with bands."
-    drawn = plot.panel(
+    chart = plot.panel(
         draw, alt, x="pack voltage that is reached (V)", y="earlier (−) or later (+) (s)", legend_columns=3
     )
-    return figure(drawn, title, "The same tests in time: seconds before or after the mean time of each voltage.")
+    return figure(chart, title, "The same tests in time: seconds before or after the mean time of each voltage.")
 
 
 def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
@@ -208,36 +208,36 @@ def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: 
     """Draw the study's Figure 6 or 7 (`study`): the mean curve at every ambient temperature."""
     name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
     title = f"{name} over ambient temperature{_study(page, study)}"
-    known = [c for c in corridors if np.isfinite(c.mean).any()]
-    if len(known) < 2:
-        where = f"at {celsius(known[0].ambient_C)} only" if known else "nowhere"
-        said = f"Not enough data: measured values were given {where}, so that this figure cannot be redrawn from them."
-        return figure(paragraph(said, css="quiet"), title)
-    low, high = min(c.ambient_C for c in known), max(c.ambient_C for c in known)
+    measured = [c for c in corridors if np.isfinite(c.mean).any()]
+    if len(measured) < 2:
+        places = f"at {celsius(measured[0].ambient_C)} only" if measured else "nowhere"
+        note = f"Not enough data: measured values were given {places}, so that this figure cannot be redrawn from them."
+        return figure(paragraph(note, css="quiet"), title)
+    low, high = min(c.ambient_C for c in measured), max(c.ambient_C for c in measured)
 
     def draw(axes: Axes) -> None:
-        named = set(_spread([c.ambient_C for c in known], 6))
-        for c in sorted(known, key=lambda c: c.ambient_C):
+        labelled = set(_spread([c.ambient_C for c in measured], 6))
+        for c in sorted(measured, key=lambda c: c.ambient_C):
             colour = plot.RAMP[round((c.ambient_C - low) / (high - low) * (len(plot.RAMP) - 1))]
             style = "-" if c.basis == "repeats" else "--" if c.basis == "quasi-replicates" else ":"
             axes.plot(c.at / 60.0, c.mean, style, color=colour, linewidth=1.8 if c.basis == "repeats" else 1.0)
-            if c.ambient_C in named:
+            if c.ambient_C in labelled:
                 axes.plot([], [], "-", color=colour, linewidth=3.0, label=celsius(c.ambient_C))
 
-    bases = {b: sum(c.basis == b for c in known) for b in ("repeats", "quasi-replicates", "one run")}
-    said = (
+    bases = {b: sum(c.basis == b for c in measured) for b in ("repeats", "quasi-replicates", "one run")}
+    note = (
         f"Solid: mean of repeats ({bases['repeats']}); dashed: near repeats a degree apart "
         f"({bases['quasi-replicates']}); dotted: one run ({bases['one run']}), no dispersion known."
     )
-    alt = f"{name} over time at {len(known)} ambient temperatures from {low:g} to {high:g} °C."
-    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=270), title, said)
+    alt = f"{name} over time at {len(measured)} ambient temperatures from {low:g} to {high:g} °C."
+    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=270), title, note)
 
 
 def _spread(values: Sequence[float], count: int) -> list[float]:
     """Return at most `count` of the values, evenly over their range."""
     ordered = sorted(values)
-    wanted = np.linspace(ordered[0], ordered[-1], count)
-    return sorted({ordered[int(np.argmin(np.abs(np.array(ordered) - w)))] for w in wanted})
+    targets = np.linspace(ordered[0], ordered[-1], count)
+    return sorted({ordered[int(np.argmin(np.abs(np.array(ordered) - w)))] for w in targets})
 
 
 def crossings(page: ValidationPage) -> Html:
@@ -246,17 +246,17 @@ def crossings(page: ValidationPage) -> Html:
     title = f"Time to {level_V:.4g} V over ambient temperature"
     runs = page.found.dataset.runs
     times = [(r.sample, r.ambient_C, crossing_time(r.time_s, r.voltage_V, level_V)) for r in runs]
-    known = [c for c in times if math.isfinite(c[2])]
-    if len({c[1] for c in known}) < 2:
+    crossed = [c for c in times if math.isfinite(c[2])]
+    if len({c[1] for c in crossed}) < 2:
         return figure(paragraph("Tests at two ambient temperatures or more would be needed.", css="quiet"), title)
 
     def draw(axes: Axes) -> None:
-        for i, sample in enumerate(dict.fromkeys(c[0] for c in known)):
-            mine = [c for c in known if c[0] == sample]
+        for i, sample in enumerate(dict.fromkeys(c[0] for c in crossed)):
+            mine = [c for c in crossed if c[0] == sample]
             colour, marker = (plot.BLUE, plot.GREEN, plot.RED, plot.AMBER)[i % 4], "osD^"[i % 4]
             axes.plot([c[1] for c in mine], [c[2] / 60.0 for c in mine], marker, color=colour, markersize=4,
                       markerfacecolor="none", label=f"sample {plot.literal(sample)}")  # fmt: skip
 
     alt = f"Time until the pack first falls to {level_V:.4g} V against ambient temperature, one mark a test."
-    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {level_V:.4g} V (min)")
-    return figure(drawn, title, f"One mark a test, {len(known)} tests. {JUMPS}")
+    chart = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {level_V:.4g} V (min)")
+    return figure(chart, title, f"One mark a test, {len(crossed)} tests. {JUMPS}")

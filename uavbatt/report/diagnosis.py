@@ -56,17 +56,16 @@ ROOM_FOR_NAMES = 120.0
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
 
-def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new: BatteryFile) -> str:
+def diagnosis_report(diagnosis: Diagnosis, closed: ClosedLoop, old: BatteryFile, new: BatteryFile) -> str:
     """Return the whole page as HTML.
 
-    found : the diagnosis; closed : errors on held-out records before and after; old, new : the battery file before and
-    after
+    closed : errors on held-out records before and after the diagnosis; old, new : the battery file before and after
     """
-    mood, answer = ANSWERS[found.verdict]
-    several = len(found.classes) > 1
-    answer = TOGETHER if several and found.verdict == "effect_found" else answer
-    may_hide = [paragraph(MAY_HIDE)] if found.may_hide else []
-    notes = _notes(found, old)
+    mood, answer = ANSWERS[diagnosis.verdict]
+    several = len(diagnosis.classes) > 1
+    answer = TOGETHER if several and diagnosis.verdict == "effect_found" else answer
+    may_hide = [paragraph(MAY_HIDE)] if diagnosis.may_hide else []
+    notes = _notes(diagnosis, old)
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
@@ -74,27 +73,27 @@ def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new
             "div",
             paragraph(strong(answer)),
             *may_hide,
-            *(_suspect(c, several) for c in found.classes),
+            *(_suspect(c, several) for c in diagnosis.classes),
             css=f"answer {mood}",
         ),
-        *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
-        *([section("Where the evidence lies", evidence_figure(found.blocks))] if found.blocks else []),
-        section("Error before and after", _errors(closed, found.floor_V), *_worse(closed)),
-        section("Residuals, measured minus modelled", *_residuals(found)),
-        section("Change of the battery file", *_changes(found, difference(old, new))),
+        *([section("Doubts", bullets(diagnosis.reasons))] if diagnosis.reasons else []),
+        *([section("Where the evidence lies", evidence_figure(diagnosis.blocks))] if diagnosis.blocks else []),
+        section("Error before and after", _errors(closed, diagnosis.floor_V), *_worse(closed)),
+        section("Residuals, measured minus modelled", *_residuals(diagnosis)),
+        section("Change of the battery file", *_changes(diagnosis, difference(old, new))),
         *([section("Notes", bullets(notes))] if notes else []),
         footer=f"uavbatt {__version__}. A small residual after the fix proves little: do the check first.",
     )
 
 
-def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
+def _notes(diagnosis: Diagnosis, old: BatteryFile) -> list[str]:
     notes = []
-    if not found.problem.evidence.has_temperature:
+    if not diagnosis.problem.evidence.has_temperature:
         notes.append("No temperature was measured: effects that show only in it are not among the candidates.")
     if old.status == "edited":
         notes.append(f"The {old.caveat}.")
-    if found.hidden:
-        bounds = (f"{h.name} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden)
+    if diagnosis.hidden:
+        bounds = (f"{h.name} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in diagnosis.hidden)
         notes.append(f"Sizes that could be hidden in these records (95 %): {'; '.join(bounds)}.")
     return notes
 
@@ -141,11 +140,11 @@ def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
         axes.invert_yaxis()
         axes.axvline(0.0, color=plot.INK, linewidth=0.7)
 
-    told = ", ".join(f"{b.name} {b.saved:.0f}" for b in blocks)
-    drawn = plot.panel(
-        draw, f"Evidence by part of the flights: {told}", x="chi-square saved", y="", left=ROOM_FOR_NAMES
+    listing = ", ".join(f"{b.name} {b.saved:.0f}" for b in blocks)
+    chart = plot.panel(
+        draw, f"Evidence by part of the flights: {listing}", x="chi-square saved", y="", left=ROOM_FOR_NAMES
     )
-    return figure(drawn, "Evidence")
+    return figure(chart, "Evidence")
 
 
 def _decimals(half_width: float) -> int:
@@ -161,7 +160,7 @@ def _errors(closed: ClosedLoop, floor_V: float) -> Html:
         ("remaining time, mean error", b.remaining_mae_s, a.remaining_mae_s, "s", 0),
         ("truth inside the 90 % interval", 100.0 * b.coverage, 100.0 * a.coverage, "%", 0),
     )
-    rows = [(what, number(before, n), number(after, n), unit) for what, before, after, unit, n in errors]
+    rows = [(label, number(before, n), number(after, n), unit) for label, before, after, unit, n in errors]
     caption = (
         f"Each of {len(closed.held_out)} records predicted with the values that the others give; the battery's own "
         f"model leaves about {number(1000.0 * floor_V, 0, 'mV')}."
@@ -174,8 +173,8 @@ def _worse(closed: ClosedLoop) -> list[Html]:
     return [paragraph(strong(words))] if closed.worse else []
 
 
-def _residuals(found: Diagnosis) -> list[Html]:
-    before, after = found.residual_before, found.residual_after
+def _residuals(diagnosis: Diagnosis) -> list[Html]:
+    before, after = diagnosis.residual_before, diagnosis.residual_after
 
     def volts(one: Residual) -> Array:
         return one.voltage_V
@@ -184,10 +183,10 @@ def _residuals(found: Diagnosis) -> list[Html]:
         return one.temp_K
 
     # Both panels have the same scale.
-    limits_mV = max(_reach(before, volts, 1000.0), 2.5 * 1000.0 * found.floor_V)
+    limits_mV = max(_reach(before, volts, 1000.0), 2.5 * 1000.0 * diagnosis.floor_V)
     out = [
-        _panel("Voltage before", before, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),
-        _panel("Voltage after", after, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),
+        _panel("Voltage before", before, volts, (1000.0, "mV"), limits_mV, 1000.0 * diagnosis.floor_V),
+        _panel("Voltage after", after, volts, (1000.0, "mV"), limits_mV, 1000.0 * diagnosis.floor_V),
     ]
     if any(np.isfinite(r.temp_K).any() for r in before):
         limits_K = max(_reach(before, warmth, 1.0), 1.0)
@@ -200,8 +199,8 @@ def _residuals(found: Diagnosis) -> list[Html]:
 
 def _reach(records: Sequence[Residual], column: Callable[[Residual], Array], scale: float) -> float:
     """Return half the height of a panel that holds nearly all residuals, in the panel's unit."""
-    known = [column(r) for r in records]
-    largest = [float(np.nanpercentile(np.abs(y), 97)) if np.isfinite(y).any() else 0.0 for y in known]
+    columns = [column(r) for r in records]
+    largest = [float(np.nanpercentile(np.abs(y), 97)) if np.isfinite(y).any() else 0.0 for y in columns]
     return scale * max(largest) * 1.2
 
 
@@ -229,14 +228,14 @@ def _panel(
     return figure(plot.panel(draw, alt, x="time (min)", y=unit), title)
 
 
-def _changes(found: Diagnosis, lines: Sequence[str]) -> list[Html]:
+def _changes(diagnosis: Diagnosis, lines: Sequence[str]) -> list[Html]:
     if not lines:
         return [paragraph("None.")]
     text = scrolled(element("pre", "\n".join(lines)), "Changed lines of the battery file")
-    shown = [details(f"{len(lines)} lines", text) if len(lines) > 40 else text]
-    if any(len(c.members) > 1 for c in found.classes):
-        shown.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))
-    return shown
+    parts = [details(f"{len(lines)} lines", text) if len(lines) > 40 else text]
+    if any(len(c.members) > 1 for c in diagnosis.classes):
+        parts.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))
+    return parts
 
 
 def difference(old: BatteryFile, new: BatteryFile) -> tuple[str, ...]:

@@ -23,12 +23,12 @@ DAY_S = 86_400.0
 _SPREAD = 0.28  # sideways spread of the dots of one checkpoint
 
 
-def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
+def scale_figure(group: Group, quantity: Literal["resistance", "capacity"]) -> Html:
     """Draw the resistance or capacity scale of one group, flight by flight, with two standard deviations."""
-    place, pairs = group.in_time(group.resistance if what == "resistance" else group.capacity)
+    place, pairs = group.in_time(group.resistance if quantity == "resistance" else group.capacity)
     chosen = _thinned(len(place))
     place, pairs = place[chosen], pairs[chosen]
-    colour = plot.RED if what == "resistance" else plot.BLUE
+    colour = plot.RED if quantity == "resistance" else plot.BLUE
 
     def draw(axes: Axes) -> None:
         axes.axhline(1.0, color=plot.FAINT, linewidth=0.8)
@@ -48,9 +48,9 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
         low, high = np.min(pairs[:, 0] - 2.0 * pairs[:, 1]), np.max(pairs[:, 0] + 2.0 * pairs[:, 1])
         axes.set_ylim(min(0.8, float(low)), max(1.2, float(high)))
 
-    alt = f"{what.capitalize()} scale of {group.name} over its flights"
-    svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{what} scale")
-    return figure(svg, f"{plot.literal(group.name)}: {what}")
+    alt = f"{quantity.capitalize()} scale of {group.name} over its flights"
+    svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{quantity} scale")
+    return figure(svg, f"{plot.literal(group.name)}: {quantity}")
 
 
 def resistance_spark(group: Group) -> Html:
@@ -60,25 +60,25 @@ def resistance_spark(group: Group) -> Html:
     place, pairs = group.in_time(group.resistance)
     scale, low, high = ((pairs[:, 0] + k * pairs[:, 1]).tolist() for k in (0.0, -2.0, 2.0))
     alt = f"Resistance of {group.name}: {number(scale[0], 2)} at the first flight, {number(scale[-1], 2)} at the last"
-    shown = span(scale, least=LEAST_SHOWN)
-    return Html(small_chart(place.tolist(), scale, alt=alt, band=(low, high), shown=shown, css="spark"))
+    limits = span(scale, least=LEAST_SHOWN)
+    return Html(small_chart(place.tolist(), scale, alt=alt, band=(low, high), shown=limits, css="spark"))
 
 
 def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
     """Draw the error of every forecast at each instant before the end: a dot a flight, middle half, median."""
-    told = [(label, np.array(errors[key])) for key, label in CHECKPOINTS.items() if errors[key]]
+    by_checkpoint = [(label, np.array(errors[key])) for key, label in CHECKPOINTS.items() if errors[key]]
 
     def draw(axes: Axes) -> None:
         axes.axhline(0.0, color=plot.FAINT, linewidth=0.8)
-        for index, (_, values) in enumerate(told):
+        for index, (_, values) in enumerate(by_checkpoint):
             shown = np.sort(values)[_thinned(len(values))]
             aside = _SPREAD * np.sin(2.4 * np.arange(len(shown)))  # even, and the same in every run
             axes.plot(index + aside, shown, "o", color=plot.SKY, markersize=3.0, alpha=0.8)
             low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
             axes.plot([index, index], [low, high], color=plot.BLUE, linewidth=5.0, solid_capstyle="butt")
             axes.plot([index - 0.3, index + 0.3], [middle, middle], color=plot.INK)
-        axes.set_xticks(range(len(told)), [label for label, _ in told])
-        axes.set_xlim(-0.6, len(told) - 0.4)
+        axes.set_xticks(range(len(by_checkpoint)), [label for label, _ in by_checkpoint])
+        axes.set_xlim(-0.6, len(by_checkpoint) - 0.4)
 
     svg = plot.responsive(draw, "Errors of the forecasts before the end of flight", x="", y="forecast − truth (s)")
     return figure(

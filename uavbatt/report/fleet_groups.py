@@ -158,25 +158,25 @@ class Overview:
 
 def gathered(rows: Iterable[FlightRow]) -> Overview:
     """Gather the rows of a fleet in one pass."""
-    found = Overview()
+    overview = Overview()
     for row in rows:
         if row.status != "ok":
-            found.failures[row.reason] = found.failures.get(row.reason, 0) + 1
-            files = found.failed.setdefault(row.reason, [])
+            overview.failures[row.reason] = overview.failures.get(row.reason, 0) + 1
+            files = overview.failed.setdefault(row.reason, [])
             files += [row.file] if len(files) < 3 else []
             continue
         name, is_identified = _whose(row)
-        found.groups.setdefault(name, Group(name, is_identified)).add(row)
-        found.certificates.add(row.certificate)
+        overview.groups.setdefault(name, Group(name, is_identified)).add(row)
+        overview.certificates.add(row.certificate)
         if row.look:
-            found.looked += 1
-            found.look = _most_severe([*found.look, row], MOST_LISTED)
+            overview.looked += 1
+            overview.look = _most_severe([*overview.look, row], MOST_LISTED)
             for reason in row.look.split("; "):
                 kind = _FIGURE.sub("…", reason)
-                found.reasons[kind] = found.reasons.get(kind, 0) + 1
-        _score(found, row)
-    found.look = _most_severe(found.look, max(math.ceil(LISTED_SHARE * found.flights), 1))
-    return found
+                overview.reasons[kind] = overview.reasons.get(kind, 0) + 1
+        _score(overview, row)
+    overview.look = _most_severe(overview.look, max(math.ceil(LISTED_SHARE * overview.flights), 1))
+    return overview
 
 
 def _most_severe(rows: Sequence[FlightRow], count: int) -> list[FlightRow]:
@@ -209,13 +209,13 @@ def severity(row: FlightRow) -> float:
     return sum(weight for words, weight in weights.items() if words in row.look)
 
 
-def _score(found: Overview, row: FlightRow) -> None:
+def _score(overview: Overview, row: FlightRow) -> None:
     for key in CHECKPOINTS:
         inside, error_s = getattr(row, f"inside_{key}"), getattr(row, f"error_{key}_s")
         if inside is None:
             continue
-        found.inside[key] += inside
+        overview.inside[key] += inside
         if math.isfinite(error_s):
-            found.errors[key].append(error_s)
+            overview.errors[key].append(error_s)
         else:
-            found.refused[key] += 1
+            overview.refused[key] += 1

@@ -61,25 +61,25 @@ def flight_report(
 
     `steps` are the rows of the replay, `resolved` the pack's size and where it came from, `outcome` the figures.
     """
-    found, name = stretches(steps), _name(flight)
-    shown = with_gaps(rows(steps))
-    axis = TimeAxis(shown, found, outcome.end_of_flight_s)
-    chart = time_left_chart(shown, axis, events(flight, steps, outcome, resolved.low_V))
+    periods, name = stretches(steps), _name(flight)
+    chart_rows = with_gaps(rows(steps))
+    axis = TimeAxis(chart_rows, periods, outcome.end_of_flight_s)
+    chart = time_left_chart(chart_rows, axis, events(flight, steps, outcome, resolved.low_V))
     engineers = details(
         "For engineers: charge, voltage, innovation, current and temperature over the same time",
-        grid(*figures(shown, axis, outcome, resolved)),
+        grid(*figures(chart_rows, axis, outcome, resolved)),
     )
     return page(
         f"{name}: battery {flight.instance}",
         "uavbatt replay",
-        _answer(outcome, resolved, found, steps),
-        section("Over the flight", chart, cursor(), engineers, _stretches(found)),
+        _answer(outcome, resolved, periods, steps),
+        section("Over the flight", chart, cursor(), engineers, _stretches(periods)),
         *route_section(flight, steps),
         section("Forecast against the truth", _checkpoints(outcome)),
         section("Battery and certificate", *_battery(resolved, battery)),
         section("The log", *_log(flight, outcome, steps)),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
-        script=cursor_script(shown),
+        script=cursor_script(chart_rows),
     )
 
 
@@ -90,14 +90,14 @@ def save_charts(
 
     Returns False, with nothing written, for a flight without a forecast.
     """
-    shown = with_gaps(rows(steps))
-    if not np.isfinite(shown.remaining_s).any():
+    chart_rows = with_gaps(rows(steps))
+    if not np.isfinite(chart_rows.remaining_s).any():
         return False
-    axis = TimeAxis(shown, stretches(steps), outcome.end_of_flight_s)
+    axis = TimeAxis(chart_rows, stretches(steps), outcome.end_of_flight_s)
     marks = events(flight, steps, outcome, resolved.low_V)
     title = f"{_name(flight)}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}"
     for path in paths:
-        save_time_left(path, shown, axis, marks, title)
+        save_time_left(path, chart_rows, axis, marks, title)
     return True
 
 
@@ -105,16 +105,16 @@ def _name(flight: Flight) -> str:
     return PurePath(flight.source).name or flight.source
 
 
-def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:
+def _answer(outcome: Outcome, resolved: PackSize, periods: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:
     """Return the box at the top: the first answer, then the sentences that limit it."""
     first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
-    limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, found)]
+    limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, periods)]
     status = element("span", badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}")
     return element("div", paragraph(first), bullets([*filter(None, limits), status]), css="answer")
 
 
-def _refused_words(outcome: Outcome, found: Sequence[Stretch]) -> str:
-    refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
+def _refused_words(outcome: Outcome, periods: Sequence[Stretch]) -> str:
+    refused_s = sum(s.duration_s for s in periods if s.status is Status.REFUSED)
     if refused_s <= 0.0:
         return ""
     air = outcome.refused_in_air
@@ -123,9 +123,9 @@ def _refused_words(outcome: Outcome, found: Sequence[Stretch]) -> str:
     return f"No forecast was given for {duration(refused_s)} in all{flying}."
 
 
-def _stretches(found: Sequence[Stretch]) -> Html:
+def _stretches(periods: Sequence[Stretch]) -> Html:
     """Explain the hatching and the shading."""
-    if not found:
+    if not periods:
         return paragraph("No number was refused.", css="quiet")
     body = [
         (
@@ -134,10 +134,10 @@ def _stretches(found: Sequence[Stretch]) -> Html:
             s.reason if s.reason == s.last_reason else f"{s.reason}; at the end: {s.last_reason}",
             str(s.rows),
         )
-        for s in found
+        for s in periods
     ]
-    made = table(("when", "what", "why", "rows"), body, text_columns=(0, 1, 2))
-    return details(f"Where a number was refused or not yet settled ({len(found)})", made)
+    stretch_table = table(("when", "what", "why", "rows"), body, text_columns=(0, 1, 2))
+    return details(f"Where a number was refused or not yet settled ({len(periods)})", stretch_table)
 
 
 def _checkpoints(outcome: Outcome) -> Html:
@@ -153,8 +153,8 @@ def _checkpoints(outcome: Outcome) -> Html:
         forecast = "refused" if refused else number(c.remaining_s, 0)
         body.append((c.label, number(c.before_end_s, 0), forecast, interval, number(c.error_s, 0, sign=True), verdict))
     head = ("instant", "truth (s)", "forecast (s)", "5 % to 95 % (s)", "error (s)", "truth in the interval")
-    said = "The forecast in force at each instant, made from earlier rows alone; a positive error is optimistic."
-    return table(head, body, said, text_columns=(0, 5))
+    note = "The forecast in force at each instant, made from earlier rows alone; a positive error is optimistic."
+    return table(head, body, note, text_columns=(0, 5))
 
 
 def _hit(inside: bool) -> Html:
@@ -223,9 +223,9 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
 
 def _warnings(steps: Sequence[ReplayedRow]) -> list[str]:
     """Return each warning once, with its first time and its number of rows, in order of time."""
-    seen = warnings_of(steps)
+    warnings = warnings_of(steps)
     out = [
         text + (" (all rows)" if it.rows == len(steps) else f" (from {duration(it.since_s)}, {it.rows} rows)")
-        for text, it in list(seen.items())[:MOST_WARNINGS]
+        for text, it in list(warnings.items())[:MOST_WARNINGS]
     ]
-    return [*out, f"and {len(seen) - MOST_WARNINGS} more"] if len(seen) > MOST_WARNINGS else out
+    return [*out, f"and {len(warnings) - MOST_WARNINGS} more"] if len(warnings) > MOST_WARNINGS else out

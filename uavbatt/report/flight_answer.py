@@ -22,14 +22,16 @@ def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: floa
     if math.isfinite(end_of_flight_s):
         when = f"{duration(end_of_flight_s)} after the log's start"
         return f"The battery was at its end before you landed: below {cutoff_V:.2f} V under load {when}."
-    where = "The log ends in the air with" if landing.is_cut else "You landed with"
+    opening = "The log ends in the air with" if landing.is_cut else "You landed with"
     if not math.isfinite(landing.remaining_s):
         why = _why_not_known(landing)
         return f"How much longer you could have flown is not known: {why}."
-    said = f"{where} {rounded(landing.remaining_s)} left ({between(landing.remaining_lo_s, landing.remaining_hi_s)})"
+    sentence = (
+        f"{opening} {rounded(landing.remaining_s)} left ({between(landing.remaining_lo_s, landing.remaining_hi_s)})"
+    )
     if not 0.0 < landing.remaining_to_low_s < landing.remaining_s:
-        return f"{said}."
-    return f"{said}, {rounded(landing.remaining_to_low_s)} to the low-voltage warning."
+        return f"{sentence}."
+    return f"{sentence}, {rounded(landing.remaining_to_low_s)} to the low-voltage warning."
 
 
 def _why_not_known(landing: Landing) -> str:

@@ -22,8 +22,8 @@ class TimeAxis:
     """TimeAxis is shared by all panels: minutes, or seconds for a short log; hatched where a number was refused."""
 
     def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], end_s: float) -> None:
-        known = rows.time_s[np.isfinite(rows.time_s)]
-        self.first_s, self.last_s = (float(known[0]), float(known[-1])) if known.size else (0.0, 1.0)
+        times_s = rows.time_s[np.isfinite(rows.time_s)]
+        self.first_s, self.last_s = (float(times_s[0]), float(times_s[-1])) if times_s.size else (0.0, 1.0)
         self.in_seconds = self.last_s - self.first_s < SHORT_S
         self.unit_s = 1.0 if self.in_seconds else 60.0
         self.label = f"time since the log's start ({'s' if self.in_seconds else 'min'})"
@@ -55,8 +55,8 @@ def line(axes: Axes, axis: TimeAxis, time_s: Array, values: Array, colour: str, 
     """Draw a line thinned to its extremes; single known rows between gaps stay visible as dots."""
     t, y = thinned(time_s, values)
     axes.plot(axis.at(t), y, style, color=colour, label=name, linewidth=1.3)
-    known = np.isfinite(y)
-    alone = known & ~np.roll(np.append(known, False), 1)[:-1] & ~np.append(known, False)[1:]
+    finite = np.isfinite(y)
+    alone = finite & ~np.roll(np.append(finite, False), 1)[:-1] & ~np.append(finite, False)[1:]
     if alone.any():
         axes.plot(axis.at(t[alone]), y[alone], "o", color=colour, markersize=2.2)
 

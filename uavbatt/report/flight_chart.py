@@ -82,11 +82,11 @@ def _events_in_words(events: Sequence[Event]) -> str:
 
 def _list(events: Sequence[Event]) -> Html:
     """Return the events with their times as text, because the marks in the chart are short."""
-    said = [
+    entries = [
         together((f"{clock(event.time_s)} ", strong(event.words) if event.tells_danger else event.words), "")
         for event in events
     ]
-    return bullets(said, css="events")
+    return bullets(entries, css="events")
 
 
 def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
@@ -105,7 +105,7 @@ def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
 
 def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
     """Return the top of the axis [min]: it holds the truth, and forecasts and intervals up to 2.5 times as high."""
-    known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
-    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, SETTLED_PERCENT))
-    widest = float(np.percentile(np.append(finite, known), 98))
+    medians, highs = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
+    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(medians, SETTLED_PERCENT))
+    widest = float(np.percentile(np.append(highs, medians), 98))
     return 1.08 * max(min(max(core, widest), MOST_HELD * core), 30.0) / 60.0

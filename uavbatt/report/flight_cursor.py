@@ -33,8 +33,8 @@ def cursor_script(rows: FlightSeries) -> Html:
 
 def _chosen_rows(rows: FlightSeries) -> dict[str, list[float | None]]:
     """Return at most MOST_ROWS of the known rows, evenly chosen; None is not known."""
-    known = np.flatnonzero(np.isfinite(rows.voltage_V) | np.isfinite(rows.remaining_s))
-    chosen = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_ROWS)).astype(int))]
+    informative = np.flatnonzero(np.isfinite(rows.voltage_V) | np.isfinite(rows.remaining_s))
+    chosen = informative[np.unique(np.linspace(0, informative.size - 1, min(informative.size, MOST_ROWS)).astype(int))]
     columns: dict[str, tuple[Array, int]] = {
         "time_s": (rows.time_s, 1), "remaining_s": (rows.remaining_s, 0), "lo_s": (rows.lo_s, 0),
         "hi_s": (rows.hi_s, 0), "charge": (100.0 * rows.soc, 1), "voltage_V": (rows.voltage_V, 2),

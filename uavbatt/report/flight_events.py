@@ -38,10 +38,10 @@ def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V
 
     low_V : voltage of the vehicle's low-voltage warning [V]; NaN if none is stated
     """
-    found = [*_air(steps, outcome), *_modes(flight), *_warnings(steps, low_V)]
+    moments = [*_air(steps, outcome), *_modes(flight), *_warnings(steps, low_V)]
     if math.isfinite(outcome.end_of_flight_s):
-        found.append(Event(outcome.end_of_flight_s, "battery at its end", True))
-    return sorted(found)
+        moments.append(Event(outcome.end_of_flight_s, "battery at its end", True))
+    return sorted(moments)
 
 
 def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
@@ -58,8 +58,8 @@ def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
 
 def _modes(flight: Flight) -> list[Event]:
     """Return the changes of the flight mode."""
-    known = [n for n in flight.navigation if n.mode in MODES and math.isfinite(n.mode_since_s)]
-    changed = [after for before, after in pairwise(known) if after.mode is not before.mode]
+    changes = [n for n in flight.navigation if n.mode in MODES and math.isfinite(n.mode_since_s)]
+    changed = [after for before, after in pairwise(changes) if after.mode is not before.mode]
     return [Event(n.mode_since_s, MODES[n.mode]) for n in changed] if len(changed) <= MOST_MODES else []
 
 
@@ -72,8 +72,8 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
         low_s = end_of_flight(time_s, volts, current_A, cutoff_V=low_V, min_current_A=least_A)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
-    said = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
-    alarm_s = next((r.time_s for r in said if r.remaining_alarm_s <= ALARM_S), math.nan)
+    forecasts = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
+    alarm_s = next((r.time_s for r in forecasts if r.remaining_alarm_s <= ALARM_S), math.nan)
     if math.isfinite(alarm_s):
         yield Event(alarm_s, "alarm", True)
     turn_s = route_forecasts(steps).turn_back_now_s
@@ -81,10 +81,10 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
         yield Event(turn_s, "turn back now", True)
 
 
-def apart(found: Sequence[Event], least_s: float) -> list[Event]:
+def apart(moments: Sequence[Event], least_s: float) -> list[Event]:
     """Join the words of events that lie less than `least_s` [s] behind the one before."""
     out: list[Event] = []
-    for event in found:
+    for event in moments:
         if out and event.time_s - out[-1].time_s < least_s:
             last = out[-1]
             words = last.words if event.words in last.words.split(", ") else f"{last.words}, {event.words}"

@@ -49,14 +49,14 @@ def _voltage(rows: FlightSeries, axis: TimeAxis, resolved: PackSize) -> Html:
 
     least, greatest = np.nanmin(rows.voltage_V), np.nanmax(rows.voltage_V)
     alt = f"Pack voltage over time, from {least:.2f} to {greatest:.2f} V, with the model's prediction."
-    said = "The model predicts each voltage before it sees it."
-    return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="pack voltage (V)"), title, said)
+    note = "The model predicts each voltage before it sees it."
+    return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="pack voltage (V)"), title, note)
 
 
 def _span(values: Array, *more: float) -> tuple[float, float]:
     """Return limits that hold the middle 99.8 % of `values` and every finite one of `more`, with a margin."""
-    known = values[np.isfinite(values)]
-    ends = [*np.percentile(known, [0.1, 99.9]), *(m for m in more if math.isfinite(m))]
+    finite = values[np.isfinite(values)]
+    ends = [*np.percentile(finite, [0.1, 99.9]), *(m for m in more if math.isfinite(m))]
     low, high = float(min(ends)), float(max(ends))
     air = 0.06 * (high - low) or 0.1
     return low - air, high + air
@@ -67,8 +67,8 @@ def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
     if not np.isfinite(rows.innovation_V).any():
         return _missing(title, "The filter compared no voltage with its prediction.")
     # One innovation a block of rows; rows without voltage (gaps) stay, so that no line crosses them.
-    kept = np.isfinite(rows.innovation_V) | np.isnan(rows.voltage_V)
-    time_s, innovation, sd = (x[kept] for x in (rows.time_s, rows.innovation_V, rows.innovation_sd_V))
+    mask = np.isfinite(rows.innovation_V) | np.isnan(rows.voltage_V)
+    time_s, innovation, sd = (x[mask] for x in (rows.time_s, rows.innovation_V, rows.innovation_sd_V))
     both = np.isfinite(sd) & np.isfinite(innovation)
     share = float(np.mean(np.abs(innovation[both]) <= 2.0 * sd[both])) if both.any() else math.nan
 
@@ -85,8 +85,8 @@ def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
     with_temp = np.isfinite(rows.temp_C).any()
     from_nis = " The band is recovered from the filter's NIS; with a measured temperature it is a lower bound."
     alt = "Difference of measured and predicted voltage over time with its expected band." + inside
-    drawn = plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="innovation (mV)")
-    return figure(drawn, title, "What the model did not foresee." + inside + (from_nis if with_temp else ""))
+    chart = plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="innovation (mV)")
+    return figure(chart, title, "What the model did not foresee." + inside + (from_nis if with_temp else ""))
 
 
 def _current(rows: FlightSeries, axis: TimeAxis) -> Html:
@@ -118,9 +118,9 @@ def _temperature(rows: FlightSeries, axis: TimeAxis) -> Html:
             line(axes, axis, rows.time_s, rows.core_C, plot.RED, "core, estimated", "--")
         axis.dress(axes)
 
-    said = "" if measured else "No pack temperature in the log: the core is the model's guess from an assumed start."
+    note = "" if measured else "No pack temperature in the log: the core is the model's guess from an assumed start."
     alt = "Temperature of the pack over time." + (" Only the estimate: nothing was measured." if not measured else "")
-    return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="temperature (°C)"), "Temperature", said)
+    return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="temperature (°C)"), "Temperature", note)
 
 
 def _soc(rows: FlightSeries, axis: TimeAxis, outcome: Outcome) -> Html:

@@ -34,8 +34,8 @@ def _charge_words(outcome: Outcome) -> str:
     if not math.isfinite(outcome.end_soc):
         return "No state of charge could be given for this log."
     low, high = charge_interval(outcome)
-    left, low_said, high_said = (number(100.0 * soc, 0) for soc in (outcome.end_soc, low, high))
-    return f"{left} % charge left at the end of the log ({low_said} to {high_said} %)."
+    percent, low_said, high_said = (number(100.0 * soc, 0) for soc in (outcome.end_soc, low, high))
+    return f"{percent} % charge left at the end of the log ({low_said} to {high_said} %)."
 
 
 def charge_interval(outcome: Outcome) -> tuple[float, float]:
@@ -50,8 +50,8 @@ def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[Repl
     if landing is None or not math.isfinite(landing.remaining_s) or math.isfinite(outcome.end_of_flight_s):
         return []
     last = [s.estimate for s in steps if 0.0 <= landing.time_s - s.estimate.time_s <= LAST_S]
-    drawn = [e.current_A for e in last if math.isfinite(e.current_A)]
-    mean_A = sum(drawn) / len(drawn) if drawn else math.nan
+    currents_A = [e.current_A for e in last if math.isfinite(e.current_A)]
+    mean_A = sum(currents_A) / len(currents_A) if currents_A else math.nan
     by_charge_s = 3600.0 * last[-1].soc * resolved.capacity_Ah / mean_A if mean_A > 0.0 else math.nan
     if not (by_charge_s > MUCH_LEFT_S and landing.remaining_s < VOLTAGE_SHARE * by_charge_s):
         return []
@@ -66,18 +66,18 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the warnings at the forecast that the answer uses."""
     if outcome.landing is None:
         return []
-    said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
-    found = () if said is None else said.estimate.warnings
-    return [f"{sentence(w)}." for w in found if kind_of(w) not in OTHERWISE_SAID]
+    step = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
+    warnings = () if step is None else step.estimate.warnings
+    return [f"{sentence(w)}." for w in warnings if kind_of(w) not in OTHERWISE_SAID]
 
 
 def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the alarm at the end, with the time since which it held."""
-    known = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
+    forecasts = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
     since_s = math.nan
-    for said in known:
-        alarmed = said.remaining_alarm_s <= ALARM_S
-        since_s = (since_s if math.isfinite(since_s) else said.time_s) if alarmed else math.nan
+    for forecast in forecasts:
+        alarmed = forecast.remaining_alarm_s <= ALARM_S
+        since_s = (since_s if math.isfinite(since_s) else forecast.time_s) if alarmed else math.nan
     if not math.isfinite(since_s):
         return []
     chance = f"about 1 in {round(1.0 / ALARM_RISK)} chance"
@@ -113,5 +113,5 @@ def _error_words(c: Checkpoint) -> str:
     if not math.isfinite(c.remaining_s):
         return f"{when}: the forecast was refused"
     way = "too long" if c.error_s > 0 else "too short"
-    where = "inside" if c.inside else "outside"
-    return f"{when}: the forecast was {duration(abs(c.error_s))} {way}, truth {where} its 90 % interval"
+    side = "inside" if c.inside else "outside"
+    return f"{when}: the forecast was {duration(abs(c.error_s))} {way}, truth {side} its 90 % interval"

@@ -25,23 +25,25 @@ def _which(flight: Flight) -> str:
     return f", battery {flight.instance} (--instance reads {others})" if others else ""
 
 
-def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
+def lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[ReplayedRow]) -> list[str]:
     """Return the result of a replay as lines of text."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
-        f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
-        f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s{_which(flight)}",
+        f"{flight.source}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}",
+        f"  log        {flight.kind}, {outcome.rows} rows, {outcome.duration_s:.0f} s{_which(flight)}",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
-        f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
-        f"  forecast   {_forecast_share_words(found.refused_in_air)}",
+        f"  at the end {outcome.end_voltage_V:.2f} V, {_charge(outcome)}",
+        f"  forecast   {_forecast_share_words(outcome.refused_in_air)}",
     ]
     lines += _route_lines(_route_summary(run))
     lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
-    if found.reserve_soc > 0.0:
-        lines.append(f"  {against_a_reserve(found.reserve_soc)}")
-    elif math.isfinite(found.end_of_flight_s):
-        lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
-        for c in found.checkpoints:
+    if outcome.reserve_soc > 0.0:
+        lines.append(f"  {against_a_reserve(outcome.reserve_soc)}")
+    elif math.isfinite(outcome.end_of_flight_s):
+        lines.append(
+            f"  end of flight at {outcome.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):"
+        )
+        for c in outcome.checkpoints:
             if math.isfinite(c.remaining_s):
                 verdict = "inside" if c.inside else "outside"
                 lines.append(
@@ -55,10 +57,10 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     return lines
 
 
-def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
+def plain_lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[ReplayedRow]) -> list[str]:
     """Return only the answer for the pilot and its limits, as on the flight page."""
-    answer = f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}"
-    return [answer, *(f"  {words}" for words in limits_of(found, resolved, run))]
+    answer = f"{flight.source}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}"
+    return [answer, *(f"  {words}" for words in limits_of(outcome, resolved, run))]
 
 
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
@@ -81,12 +83,12 @@ def _instant(c: Checkpoint) -> str:
     return "nearest forecast " if abs(named_s - c.before_end_s) > NEAR_S else ""
 
 
-def _charge(found: Outcome) -> str:
+def _charge(outcome: Outcome) -> str:
     """Return the charge at the log's end, with its 90 % interval."""
-    if not math.isfinite(found.end_soc):
+    if not math.isfinite(outcome.end_soc):
         return "charge not known"
-    low, high = charge_interval(found)
-    return f"{found.end_soc:.0%} charge left ({low:.0%} to {high:.0%})"
+    low, high = charge_interval(outcome)
+    return f"{outcome.end_soc:.0%} charge left ({low:.0%} to {high:.0%})"
 
 
 def _forecast_share_words(refused_in_air: float) -> str:
@@ -97,12 +99,12 @@ def _forecast_share_words(refused_in_air: float) -> str:
 
 
 def summary(
-    flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow], content: BatteryFile
+    flight: Flight, resolved: PackSize, outcome: Outcome, run: list[ReplayedRow], content: BatteryFile
 ) -> dict[str, Any]:
     """Return the summary of a replay for JSON."""
     scores = [
         {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
-        for c in found.checkpoints
+        for c in outcome.checkpoints
     ]
     return {
         "log": flight.source,
@@ -115,8 +117,8 @@ def summary(
         "skipped_bytes": flight.skipped_bytes,
         "notes": list(flight.notes),
         "warnings": list(warnings_of(run)),
-        **_landing_summary(found.landing),
-        **{k: v for k, v in asdict(found).items() if k not in ("checkpoints", "landing")},
+        **_landing_summary(outcome.landing),
+        **{k: v for k, v in asdict(outcome).items() if k not in ("checkpoints", "landing")},
         "scores": scores,
         **_route_summary(run),
     }
@@ -124,25 +126,27 @@ def summary(
 
 def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
     """Return for JSON how much the route was used, and when "turn back now" came first; nulls without route or home."""
-    said = route_forecasts(run)
-    turn_s = said.turn_back_now_s
+    forecasts = route_forecasts(run)
+    turn_s = forecasts.turn_back_now_s
     return {
-        "route_share": sum(route.load == "route" for _, route in said.rows) / len(said.rows) if said.rows else None,
-        "route_reason": said.why_no_route,
+        "route_share": sum(route.load == "route" for _, route in forecasts.rows) / len(forecasts.rows)
+        if forecasts.rows
+        else None,
+        "route_reason": forecasts.why_no_route,
         "turn_back_now_s": turn_s if math.isfinite(turn_s) else None,
     }
 
 
-def _route_lines(known: dict[str, Any]) -> list[str]:
+def _route_lines(route: dict[str, Any]) -> list[str]:
     """Return the same as lines of text."""
-    share, turn_s = known["route_share"], known["turn_back_now_s"]
+    share, turn_s = route["route_share"], route["turn_back_now_s"]
     if share is None:
         return []
-    why = f" (else: {known['route_reason']})" if known["route_reason"] else ""
-    found = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
+    why = f" (else: {route['route_reason']})" if route["route_reason"] else ""
+    text_lines = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
     if turn_s is not None:
-        found.append(f"  turn back  said first {duration(turn_s)} after the log's start")
-    return found
+        text_lines.append(f"  turn back  said first {duration(turn_s)} after the log's start")
+    return text_lines
 
 
 def _landing_summary(landing: Landing | None) -> dict[str, Any]:
@@ -150,5 +154,5 @@ def _landing_summary(landing: Landing | None) -> dict[str, Any]:
     keys = ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s")
     if landing is None:
         return {**dict.fromkeys(keys), "landing_s": None, "in_air_at_end": False, "reason": "no flight in this log"}
-    said = {key: getattr(landing, key) for key in keys}
-    return {**said, "landing_s": landing.time_s, "in_air_at_end": landing.is_cut, "reason": landing.reason}
+    values = {key: getattr(landing, key) for key in keys}
+    return {**values, "landing_s": landing.time_s, "in_air_at_end": landing.is_cut, "reason": landing.reason}

@@ -28,18 +28,18 @@ ANSWERS = {
 }
 
 
-def follow_report(found: Follow, dates: Sequence[str], battery: str) -> str:
+def follow_report(follow: Follow, dates: Sequence[str], battery: str) -> str:
     """Return the whole page as HTML; `dates` are the days of the flights, empty where they are not known."""
-    mood, answer = ANSWERS[found.verdict]
-    told = [_effect_part(one, found, dates) for one in found.effects]
-    notes = [f"Left out, too short to tell anything: {name}." for name in found.left_out]
+    mood, answer = ANSWERS[follow.verdict]
+    parts = [_effect_part(one, follow, dates) for one in follow.effects]
+    notes = [f"Left out, too short to tell anything: {name}." for name in follow.left_out]
     return page(
-        f"{battery}: {len(found.flights)} flights in order of time",
+        f"{battery}: {len(follow.flights)} flights in order of time",
         "uavbatt diagnose --follow",
-        element("div", paragraph(strong(answer)), *told, css=f"answer {mood}"),
-        *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
-        *(section(_title(one), course_figure(one)) for one in found.effects),
-        section("Flights", _flights(found, dates)),
+        element("div", paragraph(strong(answer)), *parts, css=f"answer {mood}"),
+        *([section("Doubts", bullets(follow.reasons))] if follow.reasons else []),
+        *(section(_title(one), course_figure(one)) for one in follow.effects),
+        section("Flights", _flights(follow, dates)),
         *([section("Notes", bullets(notes))] if notes else []),
         footer=f"uavbatt {__version__}. Each point is one flight by itself, with its 95 % interval.",
     )
@@ -49,9 +49,9 @@ def _title(one: FollowedEffect) -> str:
     return f"{QUANTITY.get(one.quantity, one.quantity)}, flight by flight"
 
 
-def _effect_part(one: FollowedEffect, found: Follow, dates: Sequence[str]) -> Html:
+def _effect_part(one: FollowedEffect, follow: Follow, dates: Sequence[str]) -> Html:
     """Return the part on one effect: its course, its rivals, and what to check."""
-    course, size = course_words(one, found.flights, dates), f"{size_words(one)}."
+    course, size = course_words(one, follow.flights, dates), f"{size_words(one)}."
     sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."
     return element("div", *suspect(one.found.members, course, sure, "flights", size))
 
@@ -77,10 +77,10 @@ def course_figure(one: FollowedEffect) -> Html:
     return figure(plot.panel(draw, alt, x="flight", y=y), one.quantity)
 
 
-def _flights(found: Follow, dates: Sequence[str]) -> Html:
+def _flights(follow: Follow, dates: Sequence[str]) -> Html:
     rows = []
-    for place, (name, day) in enumerate(zip(found.flights, dates, strict=True)):
-        values = [number(one.values[place].value, 3, unit_words(one.values[place].unit)) for one in found.effects]
+    for place, (name, day) in enumerate(zip(follow.flights, dates, strict=True)):
+        values = [number(one.values[place].value, 3, unit_words(one.values[place].unit)) for one in follow.effects]
         rows.append((str(place + 1), day or "not known", Path(name).name, *values))
-    heads = ("flight", "day", "log", *(one.quantity for one in found.effects))
+    heads = ("flight", "day", "log", *(one.quantity for one in follow.effects))
     return table(heads, rows, text_columns=(1, 2))

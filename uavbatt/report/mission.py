@@ -57,7 +57,7 @@ def mission_report(plan: MissionPlan, name: str) -> str:
 
 def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
-    said = paragraph(
+    answer = paragraph(
         f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
         f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
     )
@@ -76,7 +76,7 @@ def _answer(plan: MissionPlan) -> Html:
         words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
         turn = [paragraph(strong(words))]
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
-    return element("div", said, *turn, end, spare, quiet, css="answer good" if here.fits else "answer bad")
+    return element("div", answer, *turn, end, spare, quiet, css="answer good" if here.fits else "answer bad")
 
 
 def _charge(plan: MissionPlan) -> Html:

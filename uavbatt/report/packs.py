@@ -25,20 +25,22 @@ ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12
 OHM, CHARGE = 0, 1
 
 
-def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]) -> str:
-    """Return the whole page as HTML; `ledger` is its name, `drawn` are the packs with their flights."""
+def packs_report(
+    ledger: str, packs: Sequence[PackRow], histories: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]
+) -> str:
+    """Return the whole page as HTML; `ledger` is its name, `histories` are the packs with their flights."""
     in_order = sorted(packs, key=lambda pack: (pack.outlook.retire_flights, pack.outlook.capacity_Ah / pack.rated_Ah))
     return page(
         f"Packs of {ledger}",
         "uavbatt packs",
         _headline(in_order),
         *(
-            [contents("All packs", *(pack.name for pack, flights in drawn if flights))]
-            if len(drawn) > MOST_UNLISTED
+            [contents("All packs", *(pack.name for pack, flights in histories if flights))]
+            if len(histories) > MOST_UNLISTED
             else []
         ),
         section("All packs", _side_by_side(in_order), _table(in_order)),
-        *(_of_one(pack, flights) for pack, flights in drawn),
+        *(_of_one(pack, flights) for pack, flights in histories),
         footer=f"uavbatt {__version__}. Bands: 5 % to 95 %.",
     )
 
@@ -58,18 +60,18 @@ def _table(packs: Sequence[PackRow]) -> Html:
     head = ("pack", "outlook", "charge", "of rated", "5 % to 95 %", "ohms of its type", "flights", "charge changes")
     rows = []
     for pack in packs:
-        seen = pack.outlook
-        words = [retire_words(seen), *(finding.words for finding in pack.findings)]
+        outlook = pack.outlook
+        words = [retire_words(outlook), *(finding.words for finding in pack.findings)]
         rows.append(
             (
                 pack.name,
                 "; ".join(words),
-                number(seen.capacity_Ah, 2, "Ah"),
-                f"{seen.capacity_Ah / pack.rated_Ah:.0%}",
-                f"{seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f} Ah",
-                f"{seen.resistance_ohm / pack.type_ohm:.0%}",
-                str(seen.flights),
-                trend_words(seen.capacity_trend, seen.capacity_trend_sd),
+                number(outlook.capacity_Ah, 2, "Ah"),
+                f"{outlook.capacity_Ah / pack.rated_Ah:.0%}",
+                f"{outlook.capacity_lo_Ah:.2f} to {outlook.capacity_hi_Ah:.2f} Ah",
+                f"{outlook.resistance_ohm / pack.type_ohm:.0%}",
+                str(outlook.flights),
+                trend_words(outlook.capacity_trend, outlook.capacity_trend_sd),
             )
         )
     return table(head, rows, text_columns=(0, 1, 7))
@@ -77,20 +79,20 @@ def _table(packs: Sequence[PackRow]) -> Html:
 
 def _side_by_side(packs: Sequence[PackRow]) -> Html:
     """Draw the capacity of all packs against their ratings, with intervals; the weakest is on top."""
-    shown = list(packs[:MOST_BARS])[::-1]
-    if not shown:
+    first_packs = list(packs[:MOST_BARS])[::-1]
+    if not first_packs:
         return Html("")
 
     def draw(axes: Axes) -> None:
         axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {RETIRED_AT:.0%}")
-        for place, pack in enumerate(shown):
-            seen, rated = pack.outlook, pack.rated_Ah
-            axes.plot([seen.capacity_lo_Ah / rated, seen.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)
-            axes.plot([seen.capacity_Ah / rated], [place], "o", color=plot.BLUE, markersize=4.0)
-        axes.set_yticks(range(len(shown)), [plot.literal(pack.name)[:LETTERS_SHOWN] for pack in shown])
-        axes.set_ylim(-0.6, len(shown) - 0.4)
+        for place, pack in enumerate(first_packs):
+            outlook, rated = pack.outlook, pack.rated_Ah
+            axes.plot([outlook.capacity_lo_Ah / rated, outlook.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)
+            axes.plot([outlook.capacity_Ah / rated], [place], "o", color=plot.BLUE, markersize=4.0)
+        axes.set_yticks(range(len(first_packs)), [plot.literal(pack.name)[:LETTERS_SHOWN] for pack in first_packs])
+        axes.set_ylim(-0.6, len(first_packs) - 0.4)
 
-    height, alt = 100.0 + 26.0 * len(shown), "Charge of all packs against their ratings"
+    height, alt = 100.0 + 26.0 * len(first_packs), "Charge of all packs against their ratings"
     svg = plot.panel(draw, alt, x="charge / rated", y="", height=height, left=ROOM_FOR_NAMES)
     return figure(svg, "Charge, pack by pack", "Dot: most likely; line: 5 % to 95 %.")
 
@@ -99,23 +101,23 @@ def _of_one(pack: PackRow, flights: Sequence[LedgerFlight]) -> Html:
     """Return the part on one pack: its trend, and the findings of its flights."""
     if not flights:
         return Html("")
-    seen = pack.outlook
-    words = f"{retire_words(seen)}; charge: {trend_words(seen.capacity_trend, seen.capacity_trend_sd)}; "
-    words += f"resistance: {trend_words(seen.resistance_trend, seen.resistance_trend_sd)}."
-    found = [
+    outlook = pack.outlook
+    words = f"{retire_words(outlook)}; charge: {trend_words(outlook.capacity_trend, outlook.capacity_trend_sd)}; "
+    words += f"resistance: {trend_words(outlook.resistance_trend, outlook.resistance_trend_sd)}."
+    parts = [
         f"flight {k} ({after.flight.source}): {finding.words}"
         for k, after in enumerate(flights, 1)
         for finding in after.findings
     ]
     figures = grid(_trend(flights, CHARGE, pack.rated_Ah), _trend(flights, OHM, pack.type_ohm))
-    return section(pack.name, paragraph(words[0].upper() + words[1:]), bullets(found), figures)
+    return section(pack.name, paragraph(words[0].upper() + words[1:]), bullets(parts), figures)
 
 
 def _trend(flights: Sequence[LedgerFlight], which: int, unit: float) -> Html:
     """Draw capacity or resistance from flight to flight: each flight's own evidence, and the belief after it."""
     place = np.arange(1, len(flights) + 1)
-    told = np.exp([after.flight.told[which] for after in flights]) / unit
-    known = np.exp([after.known.mean[which] for after in flights]) / unit
+    from_flight = np.exp([after.flight.told[which] for after in flights]) / unit
+    estimates = np.exp([after.known.mean[which] for after in flights]) / unit
     variance = np.array([after.known.covariance[which, which] for after in flights])
     factor = np.exp(INTERVAL_SD * np.sqrt(variance + SHARED_SD[which] ** 2))
     odd: Any = [k for k, after in enumerate(flights) if after.findings]
@@ -124,13 +126,16 @@ def _trend(flights: Sequence[LedgerFlight], which: int, unit: float) -> Html:
     def draw(axes: Axes) -> None:
         if which == CHARGE:
             axes.axhline(RETIRED_AT, color=plot.RED, linewidth=1.0)
-        axes.fill_between(place, known / factor, known * factor, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(place, known, color=colour, label="believed")
-        axes.plot(place, told, "o", color=colour, markersize=3.5, label="the flight itself")
+        axes.fill_between(place, estimates / factor, estimates * factor, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(place, estimates, color=colour, label="believed")
+        axes.plot(place, from_flight, "o", color=colour, markersize=3.5, label="the flight itself")
         if odd:
-            axes.plot(place[odd], told[odd], "x", color=plot.RED, markersize=7.0, label="odd")
-        low, high = float(np.min(known / factor)), float(np.max(known * factor))
-        axes.set_ylim(min(0.75 if which == CHARGE else 0.9, low, 0.98 * told.min()), max(1.1, high, 1.02 * told.max()))
+            axes.plot(place[odd], from_flight[odd], "x", color=plot.RED, markersize=7.0, label="odd")
+        low, high = float(np.min(estimates / factor)), float(np.max(estimates * factor))
+        axes.set_ylim(
+            min(0.75 if which == CHARGE else 0.9, low, 0.98 * from_flight.min()),
+            max(1.1, high, 1.02 * from_flight.max()),
+        )
 
     svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name)
     return figure(svg, "Charge" if which == CHARGE else "Ohms")

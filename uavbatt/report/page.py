@@ -135,19 +135,19 @@ def table(
 
     top = element("caption", caption) if caption else Html("")
     lines = element("tbody", *(row(cells, "td") for cells in body))
-    made = element("table", top, element("thead", row(head, "th")), lines)
-    return scrolled(made, f"Table: {caption or ', '.join(name for name in head[:3] if name)}")
+    whole = element("table", top, element("thead", row(head, "th")), lines)
+    return scrolled(whole, f"Table: {caption or ', '.join(name for name in head[:3] if name)}")
 
 
 def _cell(tag: str, content: str, css: str) -> Html:
-    made = element(tag, content, css=css)
-    return Html(made.replace("<th", '<th scope="col"', 1)) if tag == "th" else made
+    cell = element(tag, content, css=css)
+    return Html(cell.replace("<th", '<th scope="col"', 1)) if tag == "th" else cell
 
 
 def scrolled(content: Html, label: str, css: str = "scroll") -> Html:
     """Return content that scrolls sideways, by keyboard too."""
-    named = f'role="region" aria-label="{safe(label)}" tabindex="0"'
-    return Html(f'<div class="{escape(css)}" {named}>{content}</div>')
+    attributes = f'role="region" aria-label="{safe(label)}" tabindex="0"'
+    return Html(f'<div class="{escape(css)}" {attributes}>{content}</div>')
 
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:

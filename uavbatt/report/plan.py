@@ -51,7 +51,7 @@ def _answer(plan: Plan) -> Html:
     if not math.isfinite(here.median_s):
         words = f"The endurance at {celsius(here.ambient_C)} is {here.remark or 'not known'}."
         return element("div", paragraph(words), status, css="answer unsure")
-    said = paragraph(
+    answer = paragraph(
         f"{duration(here.median_s)} at {celsius(here.ambient_C)}, probably between {duration(here.lo_s)} and "
         f"{duration(here.hi_s)} (9 in 10)."
     )
@@ -60,7 +60,7 @@ def _answer(plan: Plan) -> Html:
         f"take-off: {percent(plan.start_soc)}."
     )
     remark = [paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []
-    return element("div", said, terms, *remark, status, css="answer")
+    return element("div", answer, terms, *remark, status, css="answer")
 
 
 def _figure(plan: Plan) -> Html:

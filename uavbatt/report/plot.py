@@ -105,8 +105,8 @@ def panel(
             frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-unit="{unit_s:g}" data-box="{box}"')
             _name_what_moves(axes)
 
-    drawn = drawing(whole, alt, height, width)
-    return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
+    chart = drawing(whole, alt, height, width)
+    return Html(chart.replace("<svg", f"<svg{frames[0]}", 1)) if frames else chart
 
 
 def _name_what_moves(axes: Axes) -> None:

@@ -16,7 +16,7 @@ MOST_POINTS = 2000
 
 
 def route_map(
-    to_come: Sequence[Point], flown: Sequence[Point] = (), turning: Point | None = None, note: str = ""
+    to_come: Sequence[Point], track: Sequence[Point] = (), turning: Point | None = None, note: str = ""
 ) -> Html:
     """Return the map as a figure of the page; home is its origin.
 
@@ -24,7 +24,7 @@ def route_map(
     """
 
     def draw(axes: Axes) -> None:
-        for points, colour, words in ((to_come, plot.SKY, "route"), (flown, plot.BLUE, "flown")):
+        for points, colour, words in ((to_come, plot.SKY, "route"), (track, plot.BLUE, "flown")):
             if len(points) > 1:
                 shown = points[:: max(len(points) // MOST_POINTS, 1)]
                 axes.plot([p.east_m for p in shown], [p.north_m for p in shown], color=colour, label=words)

@@ -16,23 +16,27 @@ from uavbatt.report.route_map import route_map
 
 def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     """Return the section on the route; an empty list if neither a route nor home is known."""
-    said = route_forecasts(steps)
-    if not said.rows:
+    forecasts = route_forecasts(steps)
+    if not forecasts.rows:
         return []
-    turn_s = said.turn_back_now_s
+    turn_s = forecasts.turn_back_now_s
     note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
-    flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
+    track = [point for fix in flight.navigation if (point := _place(fix.time_s, flight)) is not None]
     planned = _planned(flight)
-    drawn = [route_map(planned, flown, _place(turn_s, flight), note)] if planned or flown else []
-    return [section("The route", paragraph(_words(said.rows, turn_s)), *drawn, paragraph(_loads(said), css="quiet"))]
+    maps = [route_map(planned, track, _place(turn_s, flight), note)] if planned or track else []
+    return [
+        section(
+            "The route", paragraph(_words(forecasts.rows, turn_s)), *maps, paragraph(_loads(forecasts), css="quiet")
+        )
+    ]
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
     """Return the position of the aircraft; None if it is unknown."""
-    known = flight.navigation_at(time_s) if math.isfinite(time_s) else None
-    if known is None or known.position is None or known.home is None:
+    fix = flight.navigation_at(time_s) if math.isfinite(time_s) else None
+    if fix is None or fix.position is None or fix.home is None:
         return None
-    return place(known.home, known.position)
+    return place(fix.home, fix.position)
 
 
 def _planned(flight: Flight) -> list[Point]:
@@ -44,21 +48,21 @@ def _planned(flight: Flight) -> list[Point]:
     return [Point(0.0, 0.0, 0.0), *(leg.end for leg in legs)]
 
 
-def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
-    time_s, last = said[-1]
+def _words(forecasts: Sequence[tuple[float, Route]], turn_s: float) -> str:
+    time_s, last = forecasts[-1]
     words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
     if math.isfinite(last.home_soc) and not last.must_turn_back_now:  # too late, home is no promise any more
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
         words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
     if not words:
-        reasons = Counter(route.reason for _, route in said if route.reason).most_common(1)
+        reasons = Counter(route.reason for _, route in forecasts if route.reason).most_common(1)
         words.append(f"Nothing was known of the way home: {reasons[0][0] if reasons else 'no position'}.")
     return " ".join(words)
 
 
-def _loads(said: RouteForecasts) -> str:
+def _loads(forecasts: RouteForecasts) -> str:
     """Return in words which load to come was used in how many rows, and why the route was not used."""
-    loads = Counter(route.load for _, route in said.rows)
-    used = ", ".join(f"{load} in {count} of {len(said.rows)} rows" for load, count in loads.most_common())
-    why = f"; most often because {said.why_no_route}" if said.why_no_route else ""
+    loads = Counter(route.load for _, route in forecasts.rows)
+    used = ", ".join(f"{load} in {count} of {len(forecasts.rows)} rows" for load, count in loads.most_common())
+    why = f"; most often because {forecasts.why_no_route}" if forecasts.why_no_route else ""
     return f"Load to come: {used}{why}."

@@ -80,20 +80,20 @@ class WarningSpan(NamedTuple):
 
 def warnings_of(steps: Sequence[ReplayedRow]) -> dict[str, WarningSpan]:
     """Return every warning of a replay with its span, in order of time."""
-    found: dict[str, WarningSpan] = {}
+    spans: dict[str, WarningSpan] = {}
     for estimate in (step.estimate for step in steps):
         for words in estimate.warnings:
-            before = found.get(words, WarningSpan(estimate.time_s, estimate.time_s, 0))
-            found[words] = WarningSpan(before.since_s, estimate.time_s, before.rows + 1)
-    return found
+            before = spans.get(words, WarningSpan(estimate.time_s, estimate.time_s, 0))
+            spans[words] = WarningSpan(before.since_s, estimate.time_s, before.rows + 1)
+    return spans
 
 
 def is_gap(time_s: Array) -> NDArray[np.bool_]:
     """Mark the rows that are followed by a gap."""
     steps = np.diff(time_s)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
-    found: NDArray[np.bool_] = np.append(steps > max(GAP_STEPS * usual, GAP_S), False)
-    return found
+    gaps: NDArray[np.bool_] = np.append(steps > max(GAP_STEPS * usual, GAP_S), False)
+    return gaps
 
 
 def with_gaps(rows: FlightSeries) -> FlightSeries:
@@ -114,8 +114,8 @@ def rows(steps: Sequence[ReplayedRow]) -> FlightSeries:
     mute = blind | np.array([x.status is Status.REFUSED for x in r], dtype=bool)
 
     def column(values: list[float], hidden: NDArray[np.bool_] | None = None) -> Array:
-        made = np.array(values, dtype=float)
-        return made if hidden is None else np.where(hidden, math.nan, made)
+        array = np.array(values, dtype=float)
+        return array if hidden is None else np.where(hidden, math.nan, array)
 
     nis = column([x.nis for x in e])
     innovation = column([x.innovation_V for x in e], np.isnan(nis))
@@ -155,16 +155,16 @@ def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Arr
     count = time_s.size
     if count <= 4 * buckets:
         return (time_s, *columns)
-    kept = np.zeros(count, dtype=bool)
+    mask = np.zeros(count, dtype=bool)
     for piece in np.array_split(np.arange(count), buckets):
-        kept[piece[[0, -1]]] = True
+        mask[piece[[0, -1]]] = True
         for values in columns:
-            known = piece[np.isfinite(values[piece])]
-            if known.size:
-                kept[known[[np.argmin(values[known]), np.argmax(values[known])]]] = True
+            finite = piece[np.isfinite(values[piece])]
+            if finite.size:
+                mask[finite[[np.argmin(values[finite]), np.argmax(values[finite])]]] = True
             gaps = piece[np.isnan(values[piece])]
-            kept[gaps[:1]] = True
-    return (time_s[kept], *(c[kept] for c in columns))
+            mask[gaps[:1]] = True
+    return (time_s[mask], *(c[mask] for c in columns))
 
 
 def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tuple[Array, Array, Array]:
@@ -182,7 +182,7 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
 def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
     """List the stretches that were refused, converging or without rows; near neighbours are joined if there are
     many."""
-    found: list[Stretch] = []
+    spans: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))
     for i, step in enumerate(steps):
         speaker = step.estimate if step.estimate.status is Status.REFUSED else step.remaining
@@ -190,23 +190,23 @@ def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
         after_s = steps[i + 1].estimate.time_s if i + 1 < len(steps) else begin_s
         end_s = begin_s if gap[i] else after_s
         if speaker.status in (Status.REFUSED, Status.CONVERGING):
-            _extend(found, Stretch(begin_s, end_s, speaker.status, speaker.reason, speaker.reason, 1))
+            _extend(spans, Stretch(begin_s, end_s, speaker.status, speaker.reason, speaker.reason, 1))
         if gap[i]:
-            found.append(Stretch(begin_s, after_s, Status.STALE, GAP, GAP, 0))
+            spans.append(Stretch(begin_s, after_s, Status.STALE, GAP, GAP, 0))
     whole_s = steps[-1].estimate.time_s - steps[0].estimate.time_s if steps else 0.0
     share = 0.002
-    while len(found) > MOST_STRETCHES and share < 1.0:
-        found, share = _run_together(found, share * whole_s), share * 2.0
-    return found
+    while len(spans) > MOST_STRETCHES and share < 1.0:
+        spans, share = _run_together(spans, share * whole_s), share * 2.0
+    return spans
 
 
-def _extend(found: list[Stretch], row: Stretch) -> None:
+def _extend(spans: list[Stretch], row: Stretch) -> None:
     """Add the stretch of one row, or extend the last stretch if it continues."""
-    last = found[-1] if found else None
+    last = spans[-1] if spans else None
     if last and last.end_s == row.begin_s and _alike(last, row.status, row.reason):
-        found[-1] = replace(last, end_s=row.end_s, last_reason=row.reason, rows=last.rows + 1)
+        spans[-1] = replace(last, end_s=row.end_s, last_reason=row.reason, rows=last.rows + 1)
     else:
-        found.append(row)
+        spans.append(row)
 
 
 def _alike(stretch: Stretch, status: Status, reason: str) -> bool:
@@ -218,11 +218,11 @@ def _wordless(reason: str) -> str:
     return re.sub(r"[\d.,]+", "#", reason)
 
 
-def _run_together(found: list[Stretch], gap_s: float) -> list[Stretch]:
+def _run_together(spans: list[Stretch], gap_s: float) -> list[Stretch]:
     """Return the stretches with neighbours of one kind joined if less than `gap_s` [s] lies between them."""
     out: list[Stretch] = []
     latest: dict[tuple[str, str], int] = {}
-    for stretch in found:
+    for stretch in spans:
         kind = (stretch.status.value, _wordless(stretch.reason))
         at = latest.get(kind)
         if at is not None and stretch.begin_s - out[at].end_s <= gap_s:

@@ -39,14 +39,14 @@ from uavbatt.validation.validate import Validation
 
 
 def validation_report(
-    found: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
+    validation: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
 ) -> str:
     """Return the whole page as HTML.
 
     `paper` adds the agreement with the study's printed tables; `changes` are the errors before and after extending the
     model (default: the gains of the loop over ambient temperature, where it was run).
     """
-    v = page_of(found, paper, changes)
+    v = page_of(validation, paper, changes)
     sections = [
         ("Claims", [claims_table(_at_home(v))]),
         ("Bias against the limits", _equivalence(v)),
@@ -91,19 +91,19 @@ def _answer(v: ValidationPage) -> Html:
 
 def verdict_sentence(v: ValidationPage) -> str:
     """Return in one sentence what the verdict means for a flight."""
-    where, within = f"at {celsius(v.found.ambient_C)}", " and ".join(value for _, value in _limits(v)[:2])
+    place, within = f"at {celsius(v.found.ambient_C)}", " and ".join(value for _, value in _limits(v)[:2])
     deciding = [c for c in v.found.claims if c.gates and c.verdict == v.found.verdict]
     why = f" ({deciding[0].claim}: {deciding[0].reason})" if deciding else ""
     if v.found.verdict == "pass":
         packs = any("reproducib" in c.claim and c.verdict != "pass" for c in v.found.claims)
         unproven = "At other temperatures" + (" and for other packs of the make" if packs else "")
         return (
-            f"Tests held back from the fit agree with this model {where} to within {within}, including the scatter of "
+            f"Tests held back from the fit agree with this model {place} to within {within}, including the scatter of "
             f"the tests and the uncertainty of the instruments. {unproven} it is not proven."
         )
     if v.found.verdict == "fail":
-        return f"Do not fly on this model: {where} it is not right to within {within}{why}."
-    return f"Not proven: these tests cannot show {where} that the model is right to within {within}{why}."
+        return f"Do not fly on this model: {place} it is not right to within {within}{why}."
+    return f"Not proven: these tests cannot show {place} that the model is right to within {within}{why}."
 
 
 def _limits(v: ValidationPage) -> tuple[tuple[str, str], ...]:
@@ -117,56 +117,58 @@ def _limits(v: ValidationPage) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _shipped(found: Validation) -> str:
-    if found.battery is None:
+def _shipped(validation: Validation) -> str:
+    if validation.battery is None:
         return "Nothing ships."
-    certificate = found.battery.certificate
+    certificate = validation.battery.certificate
     validated = ", ".join(f"{t:+g} °C" for t in certificate.validated_ambient_C) or "nowhere"
-    return f"The battery file {found.battery.battery.name} ships as {certificate.status}, validated at {validated}."
+    return (
+        f"The battery file {validation.battery.battery.name} ships as {certificate.status}, validated at {validated}."
+    )
 
 
 def _equivalence(v: ValidationPage) -> list[Html]:
-    drawn = claim_figures(judged(v.found.claims, v.found.ambient_C))
-    said = (
+    figures = claim_figures(judged(v.found.claims, v.found.ambient_C))
+    note = (
         "A claim passes when the whole interval of the bias lies inside the limits. The interval is one-sided 95 % "
         "at each end, over all instants together, with a guard band for the instruments."
     )
-    return [paragraph(said), grid(*drawn)] if drawn else [paragraph("No bias could be judged.")]
+    return [paragraph(note), grid(*figures)] if figures else [paragraph("No bias could be judged.")]
 
 
 def _corridors(v: ValidationPage) -> list[Html]:
-    shown, folded = [curves.family(v)], list[Html]()
+    figures, folded = [curves.family(v)], list[Html]()
     volts, heat = v.found.corridors.get(v.found.ambient_C), v.found.surface_corridors.get(v.found.ambient_C)
     if volts is not None:
         model = v.model.voltage_V
-        shown.append(curves.corridor(v, volts, model, 4))
+        figures.append(curves.corridor(v, volts, model, 4))
         folded += [curves.departures(v, volts, model), curves.in_time(v)]
     if heat is not None:
         warm = v.model.surface_C
         folded += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
-    named = (("voltage", volts), ("surface temperature", heat))
-    notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
+    by_quantity = (("voltage", volts), ("surface temperature", heat))
+    notes = bullets((f"{name}: {n}" for name, c in by_quantity if c is not None for n in c.notes), css="quiet")
     named_more = "Deviations from the mean, and the tests in time" + (
         "; the surface temperature" if heat is not None else ""
     )
     more = details(named_more, grid(*folded))
-    return [grid(*shown), *([more] if folded else []), notes]
+    return [grid(*figures), *([more] if folded else []), notes]
 
 
 def _ambient(v: ValidationPage) -> list[Html]:
     volts, heat = list(v.found.corridors.values()), list(v.found.surface_corridors.values())
     others = [c for c in v.found.claims if c.ambient_C != v.found.ambient_C]
-    drawn = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
-    drawn += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
-    known = [d for d in drawn if d]
-    folded = details("Curves, crossings and claims over ambient temperature", grid(*known))
-    return [*(elsewhere(others) if others else []), *([folded] if known else [])]
+    candidates = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
+    candidates += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
+    figures = [d for d in candidates if d]
+    folded = details("Curves, crossings and claims over ambient temperature", grid(*figures))
+    return [*(elsewhere(others) if others else []), *([folded] if figures else [])]
 
 
 def _changes(v: ValidationPage) -> list[Html]:
     """Show the gains of extending the model; nothing if it was not tried."""
-    said = bullets(_conclusions(v))
-    return [changes_table(v.changes), details("In words", said)] if v.changes else [said]
+    conclusions = bullets(_conclusions(v))
+    return [changes_table(v.changes), details("In words", conclusions)] if v.changes else [conclusions]
 
 
 def _conclusions(v: ValidationPage) -> tuple[str, ...]:

@@ -35,8 +35,8 @@ def claim_figures(claims: Sequence[Claim]) -> list[Html]:
 
 
 def _points(axes: Axes, at: Array, bias: Array, half: Array, colour: str) -> None:
-    known = np.nan_to_num(half)
-    axes.errorbar(at, bias, yerr=known, fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
+    half_widths = np.nan_to_num(half)
+    axes.errorbar(at, bias, yerr=half_widths, fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
 
 
 def _over_instants(claim: Claim) -> Html:
@@ -53,9 +53,9 @@ def _over_instants(claim: Claim) -> Html:
         axes.set_ylim(-reach, reach)
 
     alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
-    drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model − tests ({unit})")
+    chart = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model − tests ({unit})")
     return figure(
-        drawn,
+        chart,
         f"{sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
         sentence(plain_reason(claim)) + ".",
     )
@@ -63,25 +63,25 @@ def _over_instants(claim: Claim) -> Html:
 
 def over_ambient(claims: Sequence[Claim]) -> Html:
     """Draw the bias nearest to the limit at each ambient temperature, with its interval where there is one."""
-    shown = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
-    if not shown:
+    judged = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
+    if not judged:
         return Html("")
-    limit, middle = shown[0].limit * 1000.0, [nearest(c) for c in shown]
+    limit, middle = judged[0].limit * 1000.0, [nearest(c) for c in judged]
 
     def draw(axes: Axes) -> None:
         axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} mV")
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         for verdict, marker in (("pass", "o"), ("fail", "X"), ("not enough data", "D")):
-            mine = [(c, i) for c, i in zip(shown, middle, strict=True) if c.verdict == verdict]
+            mine = [(c, i) for c, i in zip(judged, middle, strict=True) if c.verdict == verdict]
             if mine:
                 at, bias, half = np.array([[c.ambient_C, c.bias[i] * 1e3, c.half_width[i] * 1e3] for c, i in mine]).T
                 axes.errorbar(at, bias, yerr=np.nan_to_num(half), fmt=marker, color=COLOURS[verdict], markersize=5,
                               capsize=2.5, linewidth=1.2, label=verdict)  # fmt: skip
 
-    alt = f"Largest bias of the voltage at {len(shown)} ambient temperatures against the limit of ±{limit:g} mV."
-    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y="model less tests (mV)", legend_columns=4)
-    said = "At the instant that uses the most of the limit. No bar: a single run, its dispersion is not known."
-    return figure(drawn, "Voltage bias over ambient temperature", said)
+    alt = f"Largest bias of the voltage at {len(judged)} ambient temperatures against the limit of ±{limit:g} mV."
+    chart = plot.panel(draw, alt, x="ambient temperature (°C)", y="model less tests (mV)", legend_columns=4)
+    note = "At the instant that uses the most of the limit. No bar: a single run, its dispersion is not known."
+    return figure(chart, "Voltage bias over ambient temperature", note)
 
 
 def _single(claims: Sequence[Claim]) -> Html:
@@ -137,7 +137,7 @@ def _limits(pairs: Sequence[tuple[float, float]], both: bool) -> list[tuple[floa
 
 
 def _stems(
-    values: Array, levels: Sequence[Consistency], quantity: str, letter: str, limits: list[tuple[float, str]], said: str
+    values: Array, levels: Sequence[Consistency], quantity: str, letter: str, limits: list[tuple[float, str]], note: str
 ) -> Html:
     """Draw `values[sample, instant]` as stems, the instants of one sample side by side."""
     samples, count = levels[0].samples, len(levels)
@@ -148,10 +148,10 @@ def _stems(
             x = j * (count + 2) + np.arange(count)
             axes.vlines(x, 0.0, np.nan_to_num(values[j]), color=plot.BLUE, linewidth=3.0)
             axes.plot(x, values[j], "o", color=plot.BLUE, markersize=3.0)
-        seen: set[str] = set()
+        labelled: set[str] = set()
         for value, name in limits:
-            label = f"critical, {name}" if name not in seen else "_"
-            seen.add(name)
+            label = f"critical, {name}" if name not in labelled else "_"
+            labelled.add(name)
             axes.axhline(value, color=looks[name][0], linewidth=1.2, linestyle=looks[name][1], label=label)
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         middle = [j * (count + 2) + (count - 1) / 2.0 for j in range(len(samples))]
@@ -163,5 +163,5 @@ def _stems(
     first, last = levels[0].time_s / 60.0, levels[-1].time_s / 60.0
     alt = f"Mandel's {letter} of the {name} for {len(samples)} samples at {count} instants."
     x = f"one stem an instant, {first:g} to {last:g} min"
-    drawn = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=200)
-    return figure(drawn, f"Mandel's {letter}: consistency of {means}, {name}", said)
+    chart = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=200)
+    return figure(chart, f"Mandel's {letter}: consistency of {means}, {name}", note)

@@ -77,21 +77,21 @@ class ValidationPage:
 
 
 def page_of(
-    found: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
+    validation: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
 ) -> ValidationPage:
     """Work out what the page needs besides; without `changes`, they are the gains of the loop over temperature."""
     return ValidationPage(
-        found=found,
+        found=validation,
         paper=paper,
-        changes=gains(found) if changes is None else changes,
-        consistency=consistency(found.readings),
-        model=mean_prediction(found.held),
+        changes=gains(validation) if changes is None else changes,
+        consistency=consistency(validation.readings),
+        model=mean_prediction(validation.held),
     )
 
 
 def consistency(readings: Readings) -> tuple[Consistency, ...]:
     """Compute Mandel's h and k per instant at the gated temperature, for two samples or more with repeats."""
-    found = []
+    consistencies = []
     for quantity in (VOLTAGE, SURFACE):
         levels = readings.levels(readings.ambient_C, quantity)
         if levels is None or len(levels.samples) < 2:
@@ -102,13 +102,13 @@ def consistency(readings: Readings) -> tuple[Consistency, ...]:
                 continue
             m = mandel(cells)
             criticals = (m.h_critical_5, m.h_critical_1), (m.k_critical_5, m.k_critical_1)
-            found.append(Consistency(quantity, float(t), levels.samples, m.h, m.k, *criticals))
-    return tuple(found)
+            consistencies.append(Consistency(quantity, float(t), levels.samples, m.h, m.k, *criticals))
+    return tuple(consistencies)
 
 
-def gains(found: Validation) -> tuple[ErrorChange, ...]:
+def gains(validation: Validation) -> tuple[ErrorChange, ...]:
     """List the gain of each extension over temperature on tests that the fit had not seen; none if not tried."""
-    if found.temperatures is None:
+    if validation.temperatures is None:
         return ()
     return tuple(
         ErrorChange(
@@ -120,19 +120,19 @@ def gains(found: Validation) -> tuple[ErrorChange, ...]:
             decimals=0,
             verdict=f"{'yes' if g.holds else 'no'} (p = {g.p_value:.2g})",
         )
-        for g in found.temperatures.gains
+        for g in validation.temperatures.gains
     )
 
 
-def mean_prediction(held: HeldOut) -> ModelCurve:
+def mean_prediction(held_out: HeldOut) -> ModelCurve:
     """Average the predictions over the held-out occasions; an instant that none predicts is NaN."""
-    surface = None if held.model_C is None else _known_mean(held.model_C)
-    return ModelCurve(held.model, held.time_s, _known_mean(held.model_V), surface)
+    surface = None if held_out.model_C is None else _known_mean(held_out.model_C)
+    return ModelCurve(held_out.model, held_out.time_s, _known_mean(held_out.model_V), surface)
 
 
 def _known_mean(table: Array) -> Array:
     """Return the mean of the known values over all axes but the last."""
     flat = table.reshape(-1, table.shape[-1])
-    known = np.isfinite(flat)
-    total = np.where(known, flat, 0.0).sum(axis=0)
-    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), math.nan)
+    finite = np.isfinite(flat)
+    total = np.where(finite, flat, 0.0).sum(axis=0)
+    return np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), math.nan)

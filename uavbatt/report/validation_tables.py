@@ -74,20 +74,20 @@ def plain_reason(claim: Claim) -> str:
     return KNOWN.sub(_known, PASSED.sub(partial(_within, claim), claim.reason))
 
 
-def _known(found: re.Match[str]) -> str:
-    return f"uncertain by {found['is']} (at most {found['most']} was declared)"
+def _known(match: re.Match[str]) -> str:
+    return f"uncertain by {match['is']} (at most {match['most']} was declared)"
 
 
-def _within(claim: Claim, found: re.Match[str]) -> str:
-    limit, count = found["limit"], int(found["count"])
-    where = f" at all {count} checked instants" if count > 1 else ""
-    return f"the error is within ±{limit} {claim.unit}{where}, including its uncertainty"
+def _within(claim: Claim, match: re.Match[str]) -> str:
+    limit, count = match["limit"], int(match["count"])
+    places = f" at all {count} checked instants" if count > 1 else ""
+    return f"the error is within ±{limit} {claim.unit}{places}, including its uncertainty"
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
-    told, gates = (f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict)), "yes" if c.gates else "informs"
+    title, gates = (f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict)), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, plain_reason(c), gates, DASH, DASH, DASH
+        return *title, plain_reason(c), gates, DASH, DASH, DASH
     scale, unit, decimals = shown_as(c.unit)
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -96,7 +96,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
     why = FIGURE.sub("", plain_reason(c))  # without its figure, which may be of another instant than the row
-    return *told, why, gates, number(bias, decimals, unit, sign=True), interval, limit
+    return *title, why, gates, number(bias, decimals, unit, sign=True), interval, limit
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
@@ -105,7 +105,7 @@ def elsewhere(claims: Sequence[Claim]) -> list[Html]:
     for c in claims:
         by_kind.setdefault((c.claim, c.verdict), []).append(c.ambient_C)
     items = [
-        together((badge(verdict), f" {claim}: {_listed(where)}"), "") for (claim, verdict), where in by_kind.items()
+        together((badge(verdict), f" {claim}: {_listed(places)}"), "") for (claim, verdict), places in by_kind.items()
     ]
     return [bullets(items), details(f"Claims at other temperatures ({len(claims)})", claims_table(claims))]
 
@@ -151,11 +151,11 @@ def data_overview(dataset: DataSet) -> list[Html]:
         runs = [r for r in dataset.runs if r.sample == sample]
         ambients = sorted({r.ambient_C for r in runs})
         repeats = max(sum(r.ambient_C == t for r in runs) for t in ambients)
-        read = [q for q, name in (("voltage", "voltage_V"), ("current", "current_A"), ("surface temp.", "surface_C"))
-                if any(np.isfinite(getattr(r, name)).any() for r in runs)]  # fmt: skip
+        columns = (("voltage", "voltage_V"), ("current", "current_A"), ("surface temp.", "surface_C"))
+        quantities = [q for q, name in columns if any(np.isfinite(getattr(r, name)).any() for r in runs)]
         span = celsius(ambients[0]) if len(ambients) == 1 else _span(ambients)
         body.append(
-            (sample, span, str(len(runs)), str(repeats), str(sum(r.time_s.size for r in runs)), ", ".join(read))
+            (sample, span, str(len(runs)), str(repeats), str(sum(r.time_s.size for r in runs)), ", ".join(quantities))
         )
     head = ("sample", "ambient", "runs", "most repeats", "readings", "read")
     capacity = f"{dataset.capacity_Ah:g} Ah" if dataset.capacity_Ah else "capacity not stated"
@@ -183,8 +183,8 @@ def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
     d = 1 if unit == "mV" else 3
 
     def interval(pair: tuple[float, float]) -> str:
-        known = math.isfinite(pair[0])
-        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}" if known else DASH
+        is_known = math.isfinite(pair[0])
+        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}" if is_known else DASH
 
     body = []
     for row in mine:
@@ -198,17 +198,17 @@ def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
         )  # fmt: skip
     head = ("min", f"mean ({mean_unit})", f"s_r ({unit})", "95 % interval", f"r ({unit})", f"s_L{mark} ({unit})",
             f"s_R{mark} ({unit})", "95 % interval", f"R{mark} ({unit})", "A_r", "A_R", "results")  # fmt: skip
-    made = table(head, body, f"{name}: precision per level (ISO 5725-2)", text_columns=())
+    levels_table = table(head, body, f"{name}: precision per level (ISO 5725-2)", text_columns=())
     notes = dict.fromkeys(n for row in mine for n in row.precision.notes if "negative" not in n)
     negative = sum(any("negative" in n for n in row.precision.notes) for row in mine)
-    said = [*notes]
+    remarks = [*notes]
     if negative:
-        said.append(
+        remarks.append(
             f"the between-sample variance came out negative at {negative} of {len(mine)} levels and is set to 0"
         )
     if few:
-        said.append("† too few samples: not reproducibility, and no statement on other packs of the make")
-    return together((made, bullets(said, css="quiet")))
+        remarks.append("† too few samples: not reproducibility, and no statement on other packs of the make")
+    return together((levels_table, bullets(remarks, css="quiet")))
 
 
 def _percent(share: float) -> str:

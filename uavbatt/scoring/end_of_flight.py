@@ -36,8 +36,8 @@ def end_of_flight(
     """
     time, volts = np.asarray(time_s, float), np.asarray(voltage_V, float)
     amps = np.full_like(volts, math.inf) if current_A is None else np.asarray(current_A, float)
-    known = np.isfinite(volts) & np.isfinite(time)
-    time, volts, amps = time[known], volts[known], amps[known]
+    finite = np.isfinite(volts) & np.isfinite(time)
+    time, volts, amps = time[finite], volts[finite], amps[finite]
     if time.size < 3:
         return NAN
     slow = float(np.median(np.diff(time))) > MEAN_WINDOW_S

@@ -99,8 +99,8 @@ class ForecastLines:
         """Return the forecasts that a display shows at the instants `at_s` [s]; NaN before the first line."""
         row = np.searchsorted(self.time_s, at_s + 1e-6, side="right") - 1
         age_s = np.where(row < 0, NAN, at_s - self.time_s[row])
-        shown = np.where(age_s <= MAX_AGE_S, np.maximum(self.points[:, row] - age_s, 0.0), NAN)
-        return ForecastLines(at_s, shown, self.interval)
+        left_s = np.where(age_s <= MAX_AGE_S, np.maximum(self.points[:, row] - age_s, 0.0), NAN)
+        return ForecastLines(at_s, left_s, self.interval)
 
     def as_scored(self) -> FloatArray:
         """Return `points` with a refusal as a sure 0 s, and a median that has no interval as a sure median."""
@@ -183,24 +183,24 @@ def score_flight(
 
 def _mean(values: ArrayLike) -> float:
     """Return the mean of the known values; NaN if none is known."""
-    known = np.asarray(values, float)
-    known = known[~np.isnan(known)]
-    return float(np.mean(known)) if known.size else NAN
+    finite = np.asarray(values, float)
+    finite = finite[~np.isnan(finite)]
+    return float(np.mean(finite)) if finite.size else NAN
 
 
 def _instants(lines: ForecastLines, begin_s: float, end_s: float) -> dict[str, Instant]:
     """Return the forecasts in force at the usual instants that the lines reach."""
-    wanted = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
-    wanted |= {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}
-    found: dict[str, Instant] = {}
-    for label, at_s in wanted.items():
+    times_s = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
+    times_s |= {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}
+    instants: dict[str, Instant] = {}
+    for label, at_s in times_s.items():
         if at_s < lines.time_s[0] - 1e-6:
             continue
         line, truth_s = lines.in_force(np.array([at_s])), np.array([end_s - at_s])
         inside = bool(line.inside(truth_s)[0]) if lines.interval else None
         width_s, crps_s = float(line.width_s()[0]), float(line.crps_s(truth_s)[0])
-        found[label] = Instant(float(truth_s[0]), float(line.points[0, 0]), width_s, inside, crps_s)
-    return found
+        instants[label] = Instant(float(truth_s[0]), float(line.points[0, 0]), width_s, inside, crps_s)
+    return instants
 
 
 def _horizon_s(truth_s: FloatArray, mass: FloatArray) -> float:
@@ -278,7 +278,7 @@ def pool(scores: Iterable[FlightScore]) -> PooledScores:
 
 def _row(label: str, instants: Sequence[Instant]) -> ScoreRow:
     errors = np.array([instant.error_s for instant in instants])
-    held = [instant.inside for instant in instants if instant.inside is not None]
+    hits = [instant.inside for instant in instants if instant.inside is not None]
     return ScoreRow(
         label,
         len(instants),
@@ -287,14 +287,14 @@ def _row(label: str, instants: Sequence[Instant]) -> ScoreRow:
         *_mean_se(errors),
         *_mean_se([instant.crps_s for instant in instants]),
         width_s=_mean([instant.width_s for instant in instants]),
-        inside=sum(held) if held else None,
-        coverage_95=binomial_interval(sum(held), len(held)),
+        inside=sum(hits) if hits else None,
+        coverage_95=binomial_interval(sum(hits), len(hits)),
     )
 
 
 def _mean_se(values: ArrayLike) -> tuple[float, float]:
     """Return mean and standard error sd/sqrt(n); the error of a single value is unknown."""
-    known = np.asarray(values, float)
-    known = known[~np.isnan(known)]
-    spread = float(np.std(known, ddof=1)) / math.sqrt(known.size) if known.size > 1 else NAN
-    return _mean(known), spread
+    finite = np.asarray(values, float)
+    finite = finite[~np.isnan(finite)]
+    spread = float(np.std(finite, ddof=1)) / math.sqrt(finite.size) if finite.size > 1 else NAN
+    return _mean(finite), spread

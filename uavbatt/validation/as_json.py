@@ -13,7 +13,7 @@ def to_builtins(validation: Validation, paper: PaperReplay | None = None) -> dic
     """Turn `validation`, and the study's method replayed if it is given, into JSON values.
 
     `claims` are the shipped model's, `rivals` the other models with theirs. The readings themselves are named by
-    their hash, not repeated; the held-out ones stand beside their predictions in `held`.
+    their hash, not repeated; the held-out ones stand beside their predictions in `held_out`.
     """
     dataset = validation.dataset
     out: dict[str, Any] = {
@@ -36,7 +36,7 @@ def to_builtins(validation: Validation, paper: PaperReplay | None = None) -> dic
         out[name] = plain(getattr(validation, name))
     out["held"] = plain(validation.held)
     pairs = zip(validation.rivals, validation.rival_claims, strict=True)
-    out["rivals"] = [{"held": plain(held), "claims": plain(claims)} for held, claims in pairs]
+    out["rivals"] = [{"held": plain(held_out), "claims": plain(claims)} for held_out, claims in pairs]
     out["temperatures"] = plain(validation.temperatures)
     out["battery"] = plain(validation.battery)
     out["paper"] = plain(paper)

@@ -28,7 +28,7 @@ from uavbatt.validation.judging.corridor import Corridor
 
 def battery_file(
     dataset: DataSet,
-    held: HeldOut,
+    held_out: HeldOut,
     corridor: Corridor,
     claims: list[Claim],
     limits: Limits,
@@ -39,7 +39,7 @@ def battery_file(
     `claims`, judged by `limits`, go into the certificate, with `statistics` (names with their units) and the
     `corridor` of the voltage.
     """
-    fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held.ambient_C)
+    fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held_out.ambient_C)
     table, effects, capacity_Ah, extra = fitted
     cells = dataset.cells_series
     return BatteryFile(
@@ -55,11 +55,11 @@ def battery_file(
         ),
         parameters=table,
         effects=effects,
-        discrepancy=_held_out_discrepancy(held, dataset, limits),
+        discrepancy=_held_out_discrepancy(held_out, dataset, limits),
         corridor=_entry(corridor),
         certificate=Certificate(
             status="certified",
-            validated_ambient_C=[held.ambient_C],
+            validated_ambient_C=[held_out.ambient_C],
             verdicts=[_verdict(c) for c in claims if not _beside(c)],
             statistics={k: rounded(v) for k, v in {**statistics, **extra}.items() if math.isfinite(v)},
             data_sha256=dataset.sha256,
@@ -79,8 +79,10 @@ def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
     failed = []
     for name in dict.fromkeys(c.claim for c in beside):
         worst = max((c for c in beside if c.claim == name), key=lambda c: float(np.max(np.abs(c.bias), initial=0.0)))
-        where = ", ".join(f"{c.ambient_C:+g}" for c in beside if c.claim == name)
-        failed.append(f"not vouched for: {name} failed at {where} °C; worst at {worst.ambient_C:+g} °C: {worst.reason}")
+        ambients = ", ".join(f"{c.ambient_C:+g}" for c in beside if c.claim == name)
+        failed.append(
+            f"not vouched for: {name} failed at {ambients} °C; worst at {worst.ambient_C:+g} °C: {worst.reason}"
+        )
     return [*unknown, *failed]
 
 
@@ -93,25 +95,25 @@ def _unmetered(
         for r in dataset.at(ambient_C)
         if r.sample in repeated and sum(q.sample == r.sample for q in dataset.at(ambient_C)) > 1
     ]
-    found = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
-    error = {s.name: found.standard_error(s.name) for s in found.slots}
+    fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
+    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
     # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
     # ties the charge down again, so that half of it stays with the capacity.
     unknown_rate = load.sd / load.prior
-    names = [s.name for s in found.slots]
+    names = [s.name for s in fit.slots]
     i, j = names.index("c_rate"), names.index("r0_ohmAh")
-    c = found.covariance_u
+    c = fit.covariance_u
     table = assemble.parameter_table(
-        found.slots,
-        found.x,
+        fit.slots,
+        fit.x,
         error,
         resistance_scale_sd=math.hypot(MAKE_RESISTANCE_SD, unknown_rate),
         capacity_scale_sd=math.hypot(MAKE_CAPACITY_SD, unknown_rate / 2.0),
-        c_rate=found.value("c_rate"),
+        c_rate=fit.value("c_rate"),
         c_rate_sd=load.sd,
     )
-    entries = assemble.effect_entries(found.slots, found.x, error, found.effects)
+    entries = assemble.effect_entries(fit.slots, fit.x, error, fit.effects)
     extra = {"correlation_c_rate_resistance": float(c[i, j] / np.sqrt(c[i, i] * c[j, j]))}
     return table, entries, dataset.capacity_Ah, extra
 
@@ -119,24 +121,26 @@ def _unmetered(
 def _metered(
     dataset: DataSet,
 ) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
-    found = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
-    error = {s.name: found.standard_error(s.name) for s in found.slots}
-    table = assemble.parameter_table(found.slots, found.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
-    return table, assemble.effect_entries(found.slots, found.x, error, prior.BASE_EFFECTS), dataset.capacity_Ah, {}
+    fit = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
+    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    table = assemble.parameter_table(fit.slots, fit.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
+    return table, assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS), dataset.capacity_Ah, {}
 
 
-def _held_out_discrepancy(held: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
+def _held_out_discrepancy(held_out: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
     """Return the discrepancy of the model on held-out occasions, which is correlated over minutes."""
-    gap_V = (held.model_V - held.measured_V)[:, :, judged_instants(held, limits, dataset.cutoff_V)]
+    gap_V = (held_out.model_V - held_out.measured_V)[:, :, judged_instants(held_out, limits, dataset.cutoff_V)]
     with np.errstate(invalid="ignore"):
-        gap_K = None if held.model_C is None or held.measured_C is None else held.model_C - held.measured_C
+        gap_K = (
+            None if held_out.model_C is None or held_out.measured_C is None else held_out.model_C - held_out.measured_C
+        )
     return Discrepancy(
         voltage_bias_V=rounded(float(np.nanmean(gap_V))),
         voltage_rmse_V=rounded(float(np.sqrt(np.nanmean(gap_V**2)))),
         voltage_autocorrelation_s=120.0,
         temperature_rmse_K=rounded(float(np.sqrt(np.nanmean(gap_K**2))) if gap_K is not None else 2.0),
         held_out=True,
-        source=f"{held.measured_V.shape[0]} occasions at {held.ambient_C:g} °C, each left out in turn",
+        source=f"{held_out.measured_V.shape[0]} occasions at {held_out.ambient_C:g} °C, each left out in turn",
     )
 
 

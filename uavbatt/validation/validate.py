@@ -108,30 +108,32 @@ def validate(
     declared = (limits or Limits()).for_cells(dataset.cells_series)
     levels = _judged_repeats(readings, declared)
     volts = corridors(readings)
-    found = volts[readings.ambient_C]
-    said = findings(readings, readings.ambient_C, found)
-    done = _shares(progress, len(levels.occasions) + (temperatures.fits(readings) if close_loop else 0.0))
-    held = heldout.circuit(readings, done)
+    band = volts[readings.ambient_C]
+    test_findings = findings(readings, readings.ambient_C, band)
+    count_fits = _shares(progress, len(levels.occasions) + (temperatures.fits(readings) if close_loop else 0.0))
+    held_out = heldout.circuit(readings, count_fits)
     rival = regression.held_out(readings)
-    claims = _claims(readings, held, found, declared, levels, said, method)
+    claims = _claims(readings, held_out, band, declared, levels, test_findings, method)
     verdict = gate.overall(claims)
     table = _precision_table(readings)
     passed = verdict == "pass"
     return Validation(
         readings=readings,
         limits=declared,
-        findings=said,
+        findings=test_findings,
         precision=table,
         corridors=volts,
-        held=held,
+        held=held_out,
         claims=tuple(claims),
         verdict=verdict,
-        battery=ship.battery_file(dataset, held, found, claims, declared, _statistics(held, table)) if passed else None,
+        battery=ship.battery_file(dataset, held_out, band, claims, declared, _statistics(held_out, table))
+        if passed
+        else None,
         rivals=(rival,),
-        rival_claims=(tuple(model_claims(readings, rival, found, declared, method)),),
+        rival_claims=(tuple(model_claims(readings, rival, band, declared, method)),),
         drifts=_drifts(readings),
         surface_corridors=corridors(readings, SURFACE),
-        temperatures=temperatures.close_loop(readings, limits or Limits(), done) if close_loop else None,
+        temperatures=temperatures.close_loop(readings, limits or Limits(), count_fits) if close_loop else None,
         method=method,
     )
 
@@ -156,46 +158,46 @@ def _judged_repeats(readings: Readings, limits: Limits) -> Levels:
 
 def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[float], None]:
     """Turn counts of fits into shares of all `fits`; the regression is left out, as it is fast."""
-    return (lambda _: None) if progress is None else (lambda done: progress(done / fits))
+    return (lambda _: None) if progress is None else (lambda count: progress(count / fits))
 
 
 def model_claims(
-    readings: Readings, held: HeldOut, found: Corridor, limits: Limits, method: Method = "iso"
+    readings: Readings, held_out: HeldOut, band: Corridor, limits: Limits, method: Method = "iso"
 ) -> list[Claim]:
     """List the claims about a model: voltage, corridor, times, surface and other temperatures.
 
-    `held` are its predictions of held-out runs, `found` the corridor of the voltage at the same ambient temperature.
+    `held_out` are its predictions of held-out runs, `band` the corridor of the voltage at the same ambient temperature.
     """
-    known, cutoff_V = readings.dataset.uncertainty, readings.dataset.cutoff_V
+    instruments, cutoff_V = readings.dataset.uncertainty, readings.dataset.cutoff_V
     equivalences = [
-        gate.voltage_claim(held, limits, cutoff_V, known),
-        gate.crossing_claim(held, limits, known),
-        gate.knee_claim(held, limits, cutoff_V, known),
+        gate.voltage_claim(held_out, limits, cutoff_V, instruments),
+        gate.crossing_claim(held_out, limits, instruments),
+        gate.knee_claim(held_out, limits, cutoff_V, instruments),
     ]
     decides = method == "paper"
     claims = [replace(c, gates=not decides) for c in equivalences]
-    claims.insert(1, gate.corridor_claim(held, found.mean, found.C, limits, cutoff_V, gates=decides))
-    surface = gate.surface_claim(held, limits, known)
-    return [*claims, *([] if surface is None else [surface]), *ambient_claims(readings, held, limits)]
+    claims.insert(1, gate.corridor_claim(held_out, band.mean, band.C, limits, cutoff_V, gates=decides))
+    surface = gate.surface_claim(held_out, limits, instruments)
+    return [*claims, *([] if surface is None else [surface]), *ambient_claims(readings, held_out, limits)]
 
 
 def _claims(
     readings: Readings,
-    held: HeldOut,
-    found: Corridor,
+    held_out: HeldOut,
+    band: Corridor,
     limits: Limits,
     levels: Levels,
-    said: tuple[Finding, ...],
+    test_findings: tuple[Finding, ...],
     method: Method,
 ) -> list[Claim]:
     """List the circuit model's claims, those about the tests before those at single temperatures."""
-    dataset, claims = readings.dataset, model_claims(readings, held, found, limits, method)
-    home = [c for c in claims if c.ambient_C == held.ambient_C]
+    dataset, claims = readings.dataset, model_claims(readings, held_out, band, limits, method)
+    home = [c for c in claims if c.ambient_C == held_out.ambient_C]
     about_tests = [
-        replace(repeatability_claim(levels, limits, said, dataset.uncertainty), gates=method == "iso"),
-        reproducibility_claim(held, levels, limits, dataset.cutoff_V, dataset.uncertainty),
+        replace(repeatability_claim(levels, limits, test_findings, dataset.uncertainty), gates=method == "iso"),
+        reproducibility_claim(held_out, levels, limits, dataset.cutoff_V, dataset.uncertainty),
     ]
-    return [*home, *about_tests, *(c for c in claims if c.ambient_C != held.ambient_C)]
+    return [*home, *about_tests, *(c for c in claims if c.ambient_C != held_out.ambient_C)]
 
 
 def _precision_table(readings: Readings) -> tuple[LevelPrecision, ...]:
@@ -224,10 +226,10 @@ def _drifts(readings: Readings) -> tuple[LevelDrift, ...]:
     return tuple(out)
 
 
-def _statistics(held: HeldOut, table: tuple[LevelPrecision, ...]) -> dict[str, float]:
+def _statistics(held_out: HeldOut, table: tuple[LevelPrecision, ...]) -> dict[str, float]:
     """Return the figures that the certificate carries, by name with unit."""
     volts = [row.precision for row in table if row.quantity == "voltage_V"]
-    residual = held.residual_V()
+    residual = held_out.residual_V()
     return {
         "occasions": float(residual.shape[0]),
         "held_out_rmse_V": float(np.sqrt(np.nanmean(residual**2))),

@@ -26,25 +26,25 @@ NAME = "voltage bias at this temperature"
 SEVERAL_RUNS = 3
 
 
-def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Claim]:
+def ambient_claims(readings: Readings, held_out: HeldOut, limits: Limits) -> list[Claim]:
     """Make one claim for each other ambient temperature, ascending; none of them gates."""
     dataset = readings.dataset
     claims = []
-    for ambient_C in sorted({s.ambient_C for s in held.singles}):
-        found = [s for s in held.singles if s.ambient_C == ambient_C]
-        if len(found) >= SEVERAL_RUNS:
-            claims.append(_several_runs(dataset, found, limits))
+    for ambient_C in sorted({s.ambient_C for s in held_out.singles}):
+        runs = [s for s in held_out.singles if s.ambient_C == ambient_C]
+        if len(runs) >= SEVERAL_RUNS:
+            claims.append(_several_runs(dataset, runs, limits))
         else:
-            claims += [_single(single, readings, held, limits) for single in found]
+            claims += [_single(single, readings, held_out, limits) for single in runs]
     return claims
 
 
-def _single(single: HeldOutRun, readings: Readings, held: HeldOut, limits: Limits) -> Claim:
+def _single(single: HeldOutRun, readings: Readings, held_out: HeldOut, limits: Limits) -> Claim:
     """Return the claim of one run: together with its near repeats if it has some, else alone."""
     dataset, group = readings.dataset, readings.near_repeats_at(single.ambient_C)
     if group is None or not np.array_equal(group.time_s, single.time_s):
         return _one_run(dataset, single, limits)
-    return _near_repeats(dataset, held, single, group, limits, bool(readings.broken))
+    return _near_repeats(dataset, held_out, single, group, limits, bool(readings.broken))
 
 
 def _several_runs(dataset: DataSet, runs: list[HeldOutRun], limits: Limits) -> Claim:
@@ -76,13 +76,13 @@ def _one_run(dataset: DataSet, single: HeldOutRun, limits: Limits) -> Claim:
 
 
 def _near_repeats(
-    dataset: DataSet, held: HeldOut, single: HeldOutRun, group: QuasiReplicates, limits: Limits, broken: bool
+    dataset: DataSet, held_out: HeldOut, single: HeldOutRun, group: QuasiReplicates, limits: Limits, broken: bool
 ) -> Claim:
     line = group.line(single.ambient_C)
     at = before_limiter(line, limits, dataset.cutoff_V)
     bias = (single.model_V - line)[at]
-    rows = [r.u for r in meter_rows(held, line[at], dataset.uncertainty)]
-    step = _series_offset(dataset, held, single)
+    rows = [r.u for r in meter_rows(held_out, line[at], dataset.uncertainty)]
+    step = _series_offset(dataset, held_out, single)
     guard = ONE_SIDED * np.sqrt(sum((u**2 for u in rows), start=(step[at] / math.sqrt(3.0)) ** 2))
     scatter = group.sd[at] * math.sqrt(group.leverage(single.ambient_C))
     half = budget.expand(scatter, group.df[at], guard / ONE_SIDED, at.size).half
@@ -104,19 +104,19 @@ def _shown(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     if bias.size and (np.abs(bias) + half <= limit).all():
         return "pass", f"the interval of the bias is inside ±{limit:g} at all {bias.size}"
     largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
-    said = f"the interval of the bias is neither inside nor outside ±{limit:g} (largest {largest:+.3g})"
-    return "not enough data", said
+    reason = f"the interval of the bias is neither inside nor outside ±{limit:g} (largest {largest:+.3g})"
+    return "not enough data", reason
 
 
-def _series_offset(dataset: DataSet, held: HeldOut, single: HeldOutRun) -> Array:
+def _series_offset(dataset: DataSet, held_out: HeldOut, single: HeldOutRun) -> Array:
     """Return how far the series of a one-time test lies from the repeats where both were tested [V] per instant.
 
     0 for a sample that was itself repeated; NaN when the series has no test at the repeated temperature.
     """
-    home = [r for r in dataset.at(held.ambient_C) if r.sample == single.sample]
+    home = [r for r in dataset.at(held_out.ambient_C) if r.sample == single.sample]
     if len(home) > 1:
         return np.zeros(single.time_s.size)
     if not home:
         return np.full(single.time_s.size, math.nan)
-    repeats = np.interp(single.time_s, held.time_s, np.nanmean(held.measured_V, axis=(0, 1)))
+    repeats = np.interp(single.time_s, held_out.time_s, np.nanmean(held_out.measured_V, axis=(0, 1)))
     return np.abs(np.interp(single.time_s, home[0].time_s, home[0].voltage_V) - repeats)

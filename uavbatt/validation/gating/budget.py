@@ -130,70 +130,75 @@ def scatter_rows(residual: Array) -> list[BudgetRow]:
     ]
 
 
-def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[BudgetRow]:
+def meter_rows(held_out: HeldOut, voltage_V: Array, instruments: Uncertainty) -> list[BudgetRow]:
     """Estimate the calibration and resolution rows [V] of the voltmeter at `voltage_V` [V]."""
-    stated, step = known.voltage_calibration_V, known.voltage_resolution_V
-    if stated is not None:
-        calibration, how = np.full(voltage_V.size, stated), "stated by the data set"
+    stated_V, step = instruments.voltage_calibration_V, instruments.voltage_resolution_V
+    if stated_V is not None:
+        calibration, how = np.full(voltage_V.size, stated_V), "stated by the data set"
     else:
         calibration = ASSUMED_CALIBRATION * np.abs(voltage_V) / math.sqrt(3.0)
         how = f"assumed ±{ASSUMED_CALIBRATION:.1%} of reading, rectangular: none stated"
-    fine_V = held.step_V if step is None else step
-    said = f"step of {fine_V:.3g} V{' seen in the readings' if step is None else ''}, rectangular"
+    fine_V = held_out.step_V if step is None else step
+    step_words = f"step of {fine_V:.3g} V{' seen in the readings' if step is None else ''}, rectangular"
     return [
         BudgetRow("calibration of the voltmeter", "B", calibration, how),
-        BudgetRow("resolution of the voltmeter", "B", np.full(voltage_V.size, fine_V / math.sqrt(12.0)), said),
+        BudgetRow("resolution of the voltmeter", "B", np.full(voltage_V.size, fine_V / math.sqrt(12.0)), step_words),
     ]
 
 
-def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]:
+def reading_half_width_s(held_out: HeldOut, instruments: Uncertainty) -> tuple[float, str]:
     """Return (a, how): readings are off their instant by at most a [s], and where that figure comes from."""
-    if known.reading_time_s is not None:
-        return known.reading_time_s, f"stated ±{known.reading_time_s:g} s, rectangular"
-    if held.row_s >= HAND_READ_S:
+    if instruments.reading_time_s is not None:
+        return instruments.reading_time_s, f"stated ±{instruments.reading_time_s:g} s, rectangular"
+    if held_out.row_s >= HAND_READ_S:
         return ASSUMED_READING_S, f"assumed ±{ASSUMED_READING_S:g} s, read by hand: none stated"
-    return held.row_s / 2.0, f"half a row of {held.row_s:g} s, rectangular"
+    return held_out.row_s / 2.0, f"half a row of {held_out.row_s:g} s, rectangular"
 
 
-def loaded_slope(held: HeldOut) -> Array:
+def loaded_slope(held_out: HeldOut) -> Array:
     """Return |dV/dt| of the mean test [V/s] by second-order differences, never across the start of the load."""
-    mean_V = np.nanmean(held.measured_V, axis=(0, 1))
+    mean_V = np.nanmean(held_out.measured_V, axis=(0, 1))
     out = np.zeros(mean_V.size)
-    load = ~held.at_rest
+    load = ~held_out.at_rest
     if int(load.sum()) >= 3:
-        out[load] = np.abs(np.gradient(mean_V[load], held.time_s[load], edge_order=2))
+        out[load] = np.abs(np.gradient(mean_V[load], held_out.time_s[load], edge_order=2))
     return out
 
 
-def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty) -> Budget:
+def voltage_budget(held_out: HeldOut, at: NDArray[np.intp], residual: Array, instruments: Uncertainty) -> Budget:
     """Build the budget of the voltage bias [V] at the instants with indices `at`; `residual` [occasion, instant]."""
-    half_s, how = reading_half_width_s(held, known)
-    mean_V = np.nanmean(held.measured_V, axis=(0, 1))[at]
+    half_s, how = reading_half_width_s(held_out, instruments)
+    mean_V = np.nanmean(held_out.measured_V, axis=(0, 1))[at]
     moment = BudgetRow(
-        "instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
+        "instant of reading", "B", loaded_slope(held_out)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
     )
-    rows = [*scatter_rows(residual), *meter_rows(held, mean_V, known), moment]
-    return add_up("V", held.time_s[at], rows, len(residual) - 1.0)
+    rows = [*scatter_rows(residual), *meter_rows(held_out, mean_V, instruments), moment]
+    return add_up("V", held_out.time_s[at], rows, len(residual) - 1.0)
 
 
-def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
+def time_budget(
+    held_out: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, instruments: Uncertainty
+) -> Budget:
     """Build the budget of the bias of a crossing time [s]; `slope_Vps` turns the voltmeter's rows into seconds."""
-    half_s, how = reading_half_width_s(held, known)
+    half_s, how = reading_half_width_s(held_out, instruments)
     one = np.array([float(np.mean(levels_V))])
     divided = f"over {slope_Vps * 1e3:.3g} mV/s"
-    meter = [BudgetRow(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
+    meter = [
+        BudgetRow(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}")
+        for r in meter_rows(held_out, one, instruments)
+    ]
     moment = BudgetRow("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
     return add_up("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
 
 
-def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
+def surface_budget(at_s: Array, residual_K: Array, instruments: Uncertainty) -> Budget:
     """Build the budget of the bias of the surface temperature [K]."""
-    stated = known.temperature_calibration_C
-    u = ASSUMED_TEMPERATURE_C if stated is None else stated
-    how = "stated by the data set" if stated is not None else f"assumed {u:g} K: none stated"
+    stated_K = instruments.temperature_calibration_C
+    u = ASSUMED_TEMPERATURE_C if stated_K is None else stated_K
+    how = "stated by the data set" if stated_K is not None else f"assumed {u:g} K: none stated"
     rows = [*scatter_rows(residual_K), BudgetRow("calibration of the thermometer", "B", np.full(at_s.size, u), how)]
-    if known.temperature_resolution_C is not None:
-        fine = np.full(at_s.size, known.temperature_resolution_C / math.sqrt(12.0))
-        step = f"{known.temperature_resolution_C:g} K step, rectangular"
+    if instruments.temperature_resolution_C is not None:
+        fine = np.full(at_s.size, instruments.temperature_resolution_C / math.sqrt(12.0))
+        step = f"{instruments.temperature_resolution_C:g} K step, rectangular"
         rows.append(BudgetRow("resolution of the thermometer", "B", fine, step))
     return add_up("K", at_s, rows, len(residual_K) - 1.0)

@@ -87,7 +87,7 @@ def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
     heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
     load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
     steep = [Slot("steeper_cold", 0.0, 1.0)]
-    nuisance = [Slot(f"{what}_{k}", 0.0, 0.1) for k in range(1, series) for what in ("ln_load", "ln_resistance")]
+    nuisance = [Slot(f"{term}_{k}", 0.0, 0.1) for k in range(1, series) for term in ("ln_load", "ln_resistance")]
     return (
         *cell,
         *(heat if variant.self_heating else []),
@@ -102,7 +102,7 @@ def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: One
     at = {s.name: x[:, i] for i, s in enumerate(slots)}
     ambient, series = tests.ambient_C[:, None], tests.series[:, None]  # simulated as [test, batch]
     cell = _cell(variant, slots, x, at)
-    ln_load, ln_resistance = (_nuisance(what, at, series) for what in ("ln_load", "ln_resistance"))
+    ln_load, ln_resistance = (_nuisance(term, at, series) for term in ("ln_load", "ln_resistance"))
     gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
     start = model.rested(np.minimum(at["start_soc"], 1.0), ambient)
 
@@ -127,10 +127,10 @@ def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Arr
     return Parameters(ocv_V=OCV_V, r0_ohmAh=table, heat_gain=float(variant.self_heating), **fields)
 
 
-def _nuisance(what: str, at: dict[str, Array], series: NDArray[np.intp]) -> Array:
+def _nuisance(term: str, at: dict[str, Array], series: NDArray[np.intp]) -> Array:
     out = np.zeros(series.shape)
     for k in range(1, int(series.max(initial=0)) + 1):
-        out = np.where(series == k, at.get(f"{what}_{k}", 0.0), out)
+        out = np.where(series == k, at.get(f"{term}_{k}", 0.0), out)
     return out
 
 
@@ -158,17 +158,17 @@ def fit_cold_model(
     every = np.ones(tests.ambient_C.size, dtype=bool)
     first = [u for _, u in _solve(variant, slots, tests, [every] * len(begin), begin, robust=True)]
     for start in starts:
-        known = dict(zip((s.name for s in start.slots), start.u, strict=True))
-        first.append(np.array([known.get(s.name, 0.0) for s in slots]))
-    found = _solve(variant, slots, tests, [every] * len(first), first, robust=False)
-    return ColdFit(variant, slots, min(found, key=lambda f: f[0])[1])
+        by_name = dict(zip((s.name for s in start.slots), start.u, strict=True))
+        first.append(np.array([by_name.get(s.name, 0.0) for s in slots]))
+    minima = _solve(variant, slots, tests, [every] * len(first), first, robust=False)
+    return ColdFit(variant, slots, min(minima, key=lambda f: f[0])[1])
 
 
-def fit_parts(found: ColdFit, tests: OneTimeTests, parts: Sequence[NDArray[np.bool_]]) -> list[ColdFit]:
+def fit_parts(fit: ColdFit, tests: OneTimeTests, parts: Sequence[NDArray[np.bool_]]) -> list[ColdFit]:
     """Fit anew to each of the `parts` of the tests alone, from where the fit of all of them ended."""
-    starts = [found.u] * len(parts)
-    fits = _solve(found.variant, found.slots, tests, parts, starts, robust=False)
-    return [ColdFit(found.variant, found.slots, u) for _, u in fits]
+    starts = [fit.u] * len(parts)
+    fits = _solve(fit.variant, fit.slots, tests, parts, starts, robust=False)
+    return [ColdFit(fit.variant, fit.slots, u) for _, u in fits]
 
 
 def _solve(
@@ -204,8 +204,8 @@ def _solve(
     return [(float(s.cost), np.asarray(s.x, dtype=float)) for s in searches]
 
 
-def residuals(found: ColdFit, tests: OneTimeTests) -> Array:
+def residuals(fit: ColdFit, tests: OneTimeTests) -> Array:
     """Return model minus measured voltage [V], [test, instant]."""
-    x = prior.values(found.slots, found.u)[None]
-    out: Array = predict_cold(found.variant, found.slots, x, tests)[0] - tests.voltage_V
+    x = prior.values(fit.slots, fit.u)[None]
+    out: Array = predict_cold(fit.variant, fit.slots, x, tests)[0] - tests.voltage_V
     return out

@@ -95,8 +95,8 @@ def claim_without_bias(
     unit: str = "",
 ) -> Claim:
     """Make a claim that rests on no bias, with the reason: unless said else, one that cannot be judged."""
-    nothing = np.empty(0)
-    return Claim(claim, ambient_C, verdict, reason, gates, nothing, nothing, nothing, nothing, limit, unit,
+    empty = np.empty(0)
+    return Claim(claim, ambient_C, verdict, reason, gates, empty, empty, empty, empty, limit, unit,
                  statistics=statistics or {})  # fmt: skip
 
 
@@ -118,9 +118,9 @@ def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     return "not enough data", f"the bias is inside ±{limit:g} but its interval is not, at {open_} of {instants}"
 
 
-def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
+def judged_instants(held_out: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
     """Return the indices of the instants at which the mean of the tests is judged (`before_limiter`)."""
-    return before_limiter(np.nanmean(held.measured_V, axis=(0, 1)), limits, cutoff_V)
+    return before_limiter(np.nanmean(held_out.measured_V, axis=(0, 1)), limits, cutoff_V)
 
 
 def before_limiter(voltage_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
@@ -134,62 +134,62 @@ def before_limiter(voltage_V: Array, limits: Limits, cutoff_V: float) -> NDArray
 
 def complete(residual: Array) -> Array:
     """Keep the occasions whose residual is known at every instant."""
-    known: Array = residual[np.isfinite(residual).all(axis=1)]
-    return known
+    rows: Array = residual[np.isfinite(residual).all(axis=1)]
+    return rows
 
 
 def _too_few(occasions: int, which: str = "") -> str:
     return f"{occasions} occasions{which}, at least {LEAST_OCCASIONS} are needed"
 
 
-def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+def voltage_claim(held_out: HeldOut, limits: Limits, cutoff_V: float, instruments: Uncertainty) -> Claim:
     """Judge the bias of the voltage at fixed times, under intermediate precision."""
     name = "voltage bias (intermediate precision)"
-    at = judged_instants(held, limits, cutoff_V)
-    residual = complete(held.residual_V()[:, at])
+    at = judged_instants(held_out, limits, cutoff_V)
+    residual = complete(held_out.residual_V()[:, at])
     if len(residual) < LEAST_OCCASIONS:
-        return claim_without_bias(name, held.ambient_C, _too_few(len(residual)), gates=True)
-    b = budgets.voltage_budget(held, at, residual, known)
+        return claim_without_bias(name, held_out.ambient_C, _too_few(len(residual)), gates=True)
+    b = budgets.voltage_budget(held_out, at, residual, instruments)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.voltage_V)
-    return Claim(name, held.ambient_C, verdict, reason, True, b.at, bias, half, b.guard, limits.voltage_V, "V", b)
+    return Claim(name, held_out.ambient_C, verdict, reason, True, b.at, bias, half, b.guard, limits.voltage_V, "V", b)
 
 
 def corridor_claim(
-    held: HeldOut, mean_V: Array, limit_V: Array, limits: Limits, cutoff_V: float, gates: bool = False
+    held_out: HeldOut, mean_V: Array, limit_V: Array, limits: Limits, cutoff_V: float, gates: bool = False
 ) -> Claim:
     """Judge by the study's own criterion: the model's mean curve inside x̄ ± C at every instant before the limiter."""
-    at = judged_instants(held, limits, cutoff_V)
-    gap = (np.nanmean(held.model_V, axis=(0, 1)) - mean_V)[at]
+    at = judged_instants(held_out, limits, cutoff_V)
+    gap = (np.nanmean(held_out.model_V, axis=(0, 1)) - mean_V)[at]
     inside = np.abs(gap) <= limit_V[at] + 1e-9
     verdict: Verdict = "pass" if inside.all() else "fail"
     reason = f"{int(inside.sum())} of {at.size} instants inside x̄ ± C"
     zero = np.zeros(at.size)
     return Claim(
         "inside the corridor x̄ ± C",
-        held.ambient_C, verdict, reason, gates, held.time_s[at], gap, limit_V[at], zero, float(np.nan), "V",
+        held_out.ambient_C, verdict, reason, gates, held_out.time_s[at], gap, limit_V[at], zero, float(np.nan), "V",
     )  # fmt: skip
 
 
-def crossing_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim:
+def crossing_claim(held_out: HeldOut, limits: Limits, instruments: Uncertainty) -> Claim:
     """Judge the bias of the time at which the pack falls to the crossing voltage; model and data read alike."""
     level = limits.crossing_V
-    return _timed(f"time of {level:.4g} V", held, np.array([level]), limits, known)
+    return _timed(f"time of {level:.4g} V", held_out, np.array([level]), limits, instruments)
 
 
-def knee_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+def knee_claim(held_out: HeldOut, limits: Limits, cutoff_V: float, instruments: Uncertainty) -> Claim:
     """Judge the bias of the time of the knee: the mean crossing of eight voltages just above the cut-off (`series`)."""
-    return _timed("time of the knee", held, cutoff_V + held.cells * KNEE_CELL_V, limits, known)
+    return _timed("time of the knee", held_out, cutoff_V + held_out.cells * KNEE_CELL_V, limits, instruments)
 
 
 def _crossings(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
     return np.array([crossing_time(time_s, voltage_V, float(v), "held") for v in levels_V])
 
 
-def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Uncertainty) -> Claim:
+def _timed(name: str, held_out: HeldOut, levels_V: Array, limits: Limits, instruments: Uncertainty) -> Claim:
     """Make the claim about a crossing time; a model that never falls through is late by the rest of the record."""
     at = np.array([float(np.mean(levels_V))])
-    runs = [c for c in held.runs() if np.isfinite(c.measured_V).all()]
+    runs = [c for c in held_out.runs() if np.isfinite(c.measured_V).all()]
     measured = np.array([_crossings(c.time_s, c.measured_V, levels_V) for c in runs]).reshape(-1, levels_V.size)
     ends = np.array([c.time_s[-1] for c in runs])
     model = np.array([_crossings(c.time_s, c.model_V, levels_V) for c in runs]).reshape(measured.shape)
@@ -199,20 +199,20 @@ def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Unc
     residual = _by_occasion(runs, (model - measured).mean(axis=1), reached)
     if len(residual) < LEAST_OCCASIONS:
         reason = _too_few(len(residual), f" fall to {at[0]:.4g} V")
-        return claim_without_bias(name, held.ambient_C, reason, gates=True, limit=limits.time_s, unit="s")
-    b = budgets.time_budget(held, levels_V, residual, _slope(runs, levels_V), known)
+        return claim_without_bias(name, held_out.ambient_C, reason, gates=True, limit=limits.time_s, unit="s")
+    b = budgets.time_budget(held_out, levels_V, residual, _slope(runs, levels_V), instruments)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.time_s)
     if late and verdict != "fail":
         verdict, reason = "fail", f"the model does not fall that far in {late} of {model.size} crossings"
-    return Claim(name, held.ambient_C, verdict, reason, True, at, bias, half, b.guard, limits.time_s, "s", b)
+    return Claim(name, held_out.ambient_C, verdict, reason, True, at, bias, half, b.guard, limits.time_s, "s", b)
 
 
-def _by_occasion(runs: list[Curve], values: Array, kept: NDArray[np.bool_]) -> Array:
+def _by_occasion(runs: list[Curve], values: Array, usable: NDArray[np.bool_]) -> Array:
     """Return means over the samples of each occasion, [occasion, 1], in run order."""
-    occasions = sorted({c.occasion for c, k in zip(runs, kept, strict=True) if k})
+    occasions = sorted({c.occasion for c, k in zip(runs, usable, strict=True) if k})
     of = np.array([c.occasion for c in runs])
-    return np.array([[float(np.mean(values[kept & (of == o)]))] for o in occasions]).reshape(-1, 1)
+    return np.array([[float(np.mean(values[usable & (of == o)]))] for o in occasions]).reshape(-1, 1)
 
 
 def _slope(runs: list[Curve], levels_V: Array) -> float:
@@ -230,22 +230,22 @@ def _slope(runs: list[Curve], levels_V: Array) -> float:
     return max(float(np.median(falls)), 1e-6)
 
 
-def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | None:
+def surface_claim(held_out: HeldOut, limits: Limits, instruments: Uncertainty) -> Claim | None:
     """Judge the bias of the surface temperature; it informs, does not gate. Returns None when it was not measured."""
-    if held.measured_C is None or held.model_C is None:
+    if held_out.measured_C is None or held_out.model_C is None:
         return None
     name = "surface temperature bias"
-    gap = held.model_C - held.measured_C
-    kept = np.isfinite(gap).any(axis=(0, 1))
-    samples = np.isfinite(gap[:, :, kept]).any(axis=(0, 2))
-    residual = complete(gap[:, samples][:, :, kept].mean(axis=1))
-    if len(residual) < LEAST_OCCASIONS or not kept.any():
-        return claim_without_bias(name, held.ambient_C, _too_few(len(residual)))
-    b = budgets.surface_budget(held.time_s[kept], residual, known)
+    gap = held_out.model_C - held_out.measured_C
+    instants = np.isfinite(gap).any(axis=(0, 1))
+    samples = np.isfinite(gap[:, :, instants]).any(axis=(0, 2))
+    residual = complete(gap[:, samples][:, :, instants].mean(axis=1))
+    if len(residual) < LEAST_OCCASIONS or not instants.any():
+        return claim_without_bias(name, held_out.ambient_C, _too_few(len(residual)))
+    b = budgets.surface_budget(held_out.time_s[instants], residual, instruments)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.surface_K)
     worst = f"largest bias {np.abs(bias).max():.2f} K; {reason}"
-    return Claim(name, held.ambient_C, verdict, worst, False, b.at, bias, half, b.guard, limits.surface_K, "K", b)
+    return Claim(name, held_out.ambient_C, verdict, worst, False, b.at, bias, half, b.guard, limits.surface_K, "K", b)
 
 
 def overall(claims: Sequence[Claim]) -> Verdict:

@@ -94,13 +94,13 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
     grid = min((r.time_s for r in runs), key=len)
     volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
     surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
-    known = surfaces[np.isfinite(surfaces).all(axis=1)]
+    complete = surfaces[np.isfinite(surfaces).all(axis=1)]
     occasions = len({r.run for r in runs})  # runs of one occasion are not independent
     return MeanTest(
         time_s=grid,
         voltage_V=volts.mean(axis=0),
         voltage_sd_V=volts.std(axis=0, ddof=1) / np.sqrt(occasions) if len(runs) > 1 else np.zeros(grid.size),
-        surface_C=known.mean(axis=0) if len(known) else np.full(grid.size, np.nan),
+        surface_C=complete.mean(axis=0) if len(complete) else np.full(grid.size, np.nan),
         cells=dataset.cells_series,
         ambient_C=ambient_C,
     )
@@ -193,14 +193,14 @@ def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
 def _unmetered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects: Effects) -> Iterator[_Fold]:
     runs = [r for r in dataset.at(levels.ambient_C) if r.sample in levels.samples]
     tests = [mean_test(dataset, [r for r in runs if r.run != out], levels.ambient_C) for out, _ in left_out]
-    for test, found, (_, others) in zip(tests, unmetered.fit_each(tests, effects), left_out, strict=True):
-        yield _unmetered_fold(levels, test, found, others)
+    for test, fit, (_, others) in zip(tests, unmetered.fit_each(tests, effects), left_out, strict=True):
+        yield _unmetered_fold(levels, test, fit, others)
 
 
-def _unmetered_fold(levels: Levels, test: MeanTest, found: Posterior, others: list[Run]) -> _Fold:
+def _unmetered_fold(levels: Levels, test: MeanTest, fit: Posterior, others: list[Run]) -> _Fold:
     def predicted(ambient_C: float, time_s: Array) -> Array:
         there = replace(test, ambient_C=ambient_C)
-        return unmetered.predict_unmetered(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
+        return unmetered.predict_unmetered(fit.slots, fit.effects, fit.x[None], there, time_s)[:, :, 0]
 
     volts, surface = predicted(levels.ambient_C, levels.time_s)
     shape = (len(levels.samples), levels.time_s.size)
@@ -216,11 +216,11 @@ def _metered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects:
 
 def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
-    kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
-    found = solve.fit_battery(observed.stack(observed.from_dataset(kept)), effects)
+    training = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
+    fit = solve.fit_battery(observed.stack(observed.from_dataset(training)), effects)
     tested = [*out, *others]
     stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
-    run = solve.replay_fit(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
+    run = solve.replay_fit(stack, fit, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
     volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
     surface, curves, singles = volts.copy(), [], []
     k = levels.occasions.index(occasion)

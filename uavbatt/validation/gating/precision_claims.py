@@ -32,11 +32,11 @@ from uavbatt.validation.judging.independence import dependence
 SAME = "all repeated results are equal: the resolution of the meter hides how they differ"
 
 
-def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding], known: Uncertainty) -> Claim:
+def repeatability_claim(levels: Levels, limits: Limits, findings: Sequence[Finding], instruments: Uncertainty) -> Claim:
     """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
     rows = [precision(levels.cells(i)) for i in range(levels.time_s.size)]
     shared = shared_table(levels).table
-    linked = dependence(shared, resolution=known.voltage_resolution_V or 0.0).dependent
+    linked = dependence(shared, resolution=instruments.voltage_resolution_V or 0.0).dependent
     df = shared.shape[0] - 1 if linked else sum(len(c) - 1 for c in levels.cells(0))
     A_r = relative_uncertainty_r(df) if df else math.inf
     s_r = max(p.s_r for p in rows)
@@ -44,19 +44,21 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
     known_to = f"known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
     reason = f"s_r up to {s_r:.3g} V, {known_to}" if s_r > 0.0 else SAME
     reason += "; the samples depend on each other and count as one" if linked else ""
-    drifts = [f for f in found if f.kind == "drift" and "voltage" in f.title]
+    drifts = [f for f in findings if f.kind == "drift" and "voltage" in f.title]
     reason += f"; warning: {drifts[0].title}" if drifts else ""
     numbers = {"A_r": A_r, "degrees_of_freedom": float(df), "largest_s_r_V": s_r, "drift": float(bool(drifts))}
     return claim_without_bias("repeatability", levels.ambient_C, reason, numbers, verdict=verdict, gates=True,
                               limit=limits.precision_A_r, unit="1")  # fmt: skip
 
 
-def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+def reproducibility_claim(
+    held_out: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, instruments: Uncertainty
+) -> Claim:
     """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
-    not_judged = partial(claim_without_bias, name, held.ambient_C)
+    not_judged = partial(claim_without_bias, name, held_out.ambient_C)
     shared = shared_table(levels).table
-    k, linked = shared.shape[1], dependence(shared, resolution=known.voltage_resolution_V or 0.0)
+    k, linked = shared.shape[1], dependence(shared, resolution=instruments.voltage_resolution_V or 0.0)
     p_value = {"samples": float(k), "p_dependence": linked.p_value}
     if k < LEAST_SAMPLES:
         also = ", and they depend on each other" if linked.dependent else ""
@@ -66,7 +68,7 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
         unknown = "too few runs to tell whether the samples are independent"
         reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
         return not_judged(reason, p_value)
-    at = gate.judged_instants(held, limits, cutoff_V)
+    at = gate.judged_instants(held_out, limits, cutoff_V)
     if not at.size:
         return not_judged("no instant can be judged", p_value)
     rows = [precision(levels.cells(int(i))) for i in at]
@@ -76,16 +78,16 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
     if not limits.precision_A_R >= A_R:
         reason = f"s_R known to ±{A_R:.0%} only (declared: ±{limits.precision_A_R:.0%}), {k} samples"
         return not_judged(reason, {**p_value, "A_R": A_R})
-    table = (held.model_V - held.measured_V)[:, :, at]
+    table = (held_out.model_V - held_out.measured_V)[:, :, at]
     table = table[np.isfinite(table).all(axis=(1, 2))]
     u, df = _random_samples(table)
-    guard = budget.voltage_budget(held, at, table.mean(axis=1), known).guard
+    guard = budget.voltage_budget(held_out, at, table.mean(axis=1), instruments).guard
     _, df, half = budget.expand(u, df, guard / budget.ONE_SIDED, at.size)
     bias = table.mean(axis=(0, 1))
     verdict, reason = gate.decide(bias, half, limits.voltage_V)
-    said = f"{k} samples of one make in one laboratory: {reason}"
-    return Claim(name, held.ambient_C, verdict, said, False, held.time_s[at], bias, half, guard, limits.voltage_V, "V",
-                 statistics={**p_value, "A_R": A_R, "least_df": float(df.min())})  # fmt: skip
+    full_reason = f"{k} samples of one make in one laboratory: {reason}"
+    return Claim(name, held_out.ambient_C, verdict, full_reason, False, held_out.time_s[at], bias, half, guard,
+                 limits.voltage_V, "V", statistics={**p_value, "A_R": A_R, "least_df": float(df.min())})  # fmt: skip
 
 
 def _random_samples(table: Array) -> tuple[Array, Array]:

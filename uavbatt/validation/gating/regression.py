@@ -120,8 +120,8 @@ def fit_regression(rows: RunTable, cells: int) -> Regression:
         misfit = (unpacked(u).voltage(rows.time_s, rows.ambient_C, rows.series) - rows.voltage_V) / rows.sigma_V
         return np.concatenate([misfit, u])
 
-    found = least_squares(objective, np.zeros(spread.size), loss="soft_l1", f_scale=3.0, max_nfev=60, ftol=1e-5)
-    return unpacked(np.asarray(found.x))
+    solution = least_squares(objective, np.zeros(spread.size), loss="soft_l1", f_scale=3.0, max_nfev=60, ftol=1e-5)
+    return unpacked(np.asarray(solution.x))
 
 
 def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
@@ -142,20 +142,22 @@ def held_out(readings: Readings) -> HeldOut:
     volts, curves, singles = np.full(levels.values.shape, np.nan), [], []
     for k, occasion in enumerate(levels.occasions):
         out = others[k :: len(levels.occasions)]
-        kept = [r for r in home if r.run != occasion] + [r for r in others if r not in out]
-        begin = [starts[r.sample, r.run, r.ambient_C] for r in kept]
-        found = fit_regression(rows_of(kept, begin, _consecutive([number(r) for r in kept])), dataset.cells_series)
-        blocks = sorted({number(r) for r in kept} | {0})
+        training = [r for r in home if r.run != occasion] + [r for r in others if r not in out]
+        begin = [starts[r.sample, r.run, r.ambient_C] for r in training]
+        fit = fit_regression(
+            rows_of(training, begin, _consecutive([number(r) for r in training])), dataset.cells_series
+        )
+        blocks = sorted({number(r) for r in training} | {0})
         for run in dataset.at(levels.ambient_C):
             if run.sample in levels.samples and run.run == occasion:
                 at, t0 = levels.samples.index(run.sample), starts[run.sample, run.run, run.ambient_C]
-                volts[k, at] = found.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
+                volts[k, at] = fit.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
                 if fast_records.is_fast(run):
-                    curves.append(_curve(found, run, k, at, t0))
+                    curves.append(_curve(fit, run, k, at, t0))
         for run in out:
             block = blocks.index(number(run)) if number(run) in blocks else 0
             t = run.time_s - starts[run.sample, run.run, run.ambient_C]
-            model = found.voltage(t, np.full(t.size, run.ambient_C), block)
+            model = fit.voltage(t, np.full(t.size, run.ambient_C), block)
             singles.append(HeldOutRun(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
@@ -170,7 +172,7 @@ def _consecutive(series: list[int]) -> list[int]:
     return [order.index(s) for s in series]
 
 
-def _curve(found: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
+def _curve(fit: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
     own = fast_records.weights(run.time_s, fast_records.phases(run.current_A), run.time_s)
-    model = found.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
+    model = fit.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
     return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ model)

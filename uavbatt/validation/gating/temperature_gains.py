@@ -59,10 +59,10 @@ def gains_of(outcomes: tuple[VariantOutcome, ...], groups: Mapping[str, tuple[fl
 
     `groups` are the temperature ranges [°C] by name, the coldest first.
     """
-    found = {(o.scope, o.variant, o.series): o for o in outcomes}
+    by_model = {(o.scope, o.variant, o.series): o for o in outcomes}
     plain, heat, both = TERMS[False, False], TERMS[True, False], TERMS[True, True]
     cold = next(iter(groups))
-    asked = (
+    questions = (
         ("self-heating, fitted to the cold tests alone", ("cold", plain, False), ("cold", heat, False), cold),
         ("steeper cold resistance on top", ("cold", heat, False), ("cold", both, False), cold),
         ("both, fitted to the cold tests alone", ("cold", plain, False), ("cold", both, False), cold),
@@ -73,9 +73,9 @@ def gains_of(outcomes: tuple[VariantOutcome, ...], groups: Mapping[str, tuple[fl
         ("both, the steps between the series modelled", ("all", plain, True), ("all", both, True), "all"),
     )
     gains = [
-        _gain(question, found[before], found[after], group, groups[group])
-        for question, before, after, group in asked
-        if before in found and after in found
+        _gain(question, by_model[before], by_model[after], group, groups[group])
+        for question, before, after, group in questions
+        if before in by_model and after in by_model
     ]
     return _holm(gains)
 
@@ -106,18 +106,18 @@ def conclusions_of(
     gains: tuple[Gain, ...], outcomes: tuple[VariantOutcome, ...], tests: OneTimeTests, rise: Array
 ) -> tuple[str, ...]:
     """Say in one sentence per question what holds on unseen tests and what does not."""
-    said = []
+    sentences = []
     for g in gains:
-        where = f"{g.question} ({g.group})"
+        topic = f"{g.question} ({g.group})"
         numbers = f"{1e3 * g.before_V:.0f} to {1e3 * g.after_V:.0f} mV held out"
         numbers += f" ({1e3 * g.fitted_before_V:.0f} to {1e3 * g.fitted_after_V:.0f} fitted, p = {g.p_value:.2g})"
-        said.append(f"{where}: {'holds' if g.holds else 'does not hold'}, {numbers}")
+        sentences.append(f"{topic}: {'holds' if g.holds else 'does not hold'}, {numbers}")
     recovering = rise > 0.0
     for o in outcomes:
         if o.scope == "cold" and recovering.any() and o.variant in (TERMS[False, False], TERMS[True, False]):
             at = [i for i in np.flatnonzero(recovering) if tests.ambient_C[i] in o.ambient_C]
             model = dict(zip(o.ambient_C.tolist(), o.rise_V.tolist(), strict=True))
             pairs = [(float(tests.ambient_C[i]), float(rise[i])) for i in at]
-            shown = ", ".join(f"{model[T]:+.2f} V at {T:+g} °C (measured {r:+.2f})" for T, r in pairs)
-            said.append(f"recovery from minute 1 to 3, {o.variant}: {shown}")
-    return tuple(said)
+            rises = ", ".join(f"{model[T]:+.2f} V at {T:+g} °C (measured {r:+.2f})" for T, r in pairs)
+            sentences.append(f"recovery from minute 1 to 3, {o.variant}: {rises}")
+    return tuple(sentences)

@@ -77,20 +77,20 @@ def close_loop(
     tests, left_out = one_time_tests(readings)
     if tests is None:
         return None
-    declared, known = limits.for_cells(dataset.cells_series), dataset.uncertainty
+    declared, instruments = limits.for_cells(dataset.cells_series), dataset.uncertainty
     effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
-    held = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
-    surface = gate.surface_claim(held, declared, known)
+    held_out = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
+    surface = gate.surface_claim(held_out, declared, instruments)
     claims = (
-        gate.voltage_claim(held, declared, dataset.cutoff_V, known),
-        gate.crossing_claim(held, declared, known),
-        gate.knee_claim(held, declared, dataset.cutoff_V, known),
+        gate.voltage_claim(held_out, declared, dataset.cutoff_V, instruments),
+        gate.crossing_claim(held_out, declared, instruments),
+        gate.knee_claim(held_out, declared, dataset.cutoff_V, instruments),
         *(() if surface is None else (surface,)),
     )
     groups = _groups(tests)
     outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
     gains = gains_of(outcomes, groups)
-    by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held.singles}
+    by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held_out.singles}
     rise = _rise(tests.time_s, tests.voltage_V)
     return TemperatureLoop(
         ambient_C=tests.ambient_C,
@@ -99,7 +99,7 @@ def close_loop(
             for k in range(int(tests.series.max()) + 1)
         ),
         groups=groups,
-        isothermal=held,
+        isothermal=held_out,
         isothermal_claims=claims,
         isothermal_rmse_V=np.array([by_ambient.get(float(t), np.nan) for t in tests.ambient_C]),
         measured_rise_V=rise,
@@ -169,8 +169,8 @@ def _outcomes(
     out, fitted = [], list[cold_model.ColdFit]()
     for variant in _variants(scope, tests):
         smaller = [f for f in fitted if f.variant.series == variant.series]
-        outcome, found = _outcome(scope, variant, tests, groups, smaller)
-        fitted.append(found)
+        outcome, fit = _outcome(scope, variant, tests, groups, smaller)
+        fitted.append(fit)
         out.append(outcome)
         if progress is not None:
             progress(START_FITS * _fresh_starts(variant))
@@ -186,11 +186,11 @@ def _outcome(
 ) -> tuple[VariantOutcome, cold_model.ColdFit]:
     T, count = tests.ambient_C, int(tests.series.max()) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
-    found = cold_model.fit_cold_model(variant, tests, count, inside, _fresh_starts(variant))
-    fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
+    fit = cold_model.fit_cold_model(variant, tests, count, inside, _fresh_starts(variant))
+    fitted, unseen = cold_model.residuals(fit, tests), np.empty((T.size, tests.time_s.size))
     folds = FOLDS if T.size >= 2 * FOLDS else T.size
     left_out = [np.arange(T.size) % folds == k for k in range(folds)]
-    for out, part in zip(left_out, cold_model.fit_parts(found, tests, [~out for out in left_out]), strict=True):
+    for out, part in zip(left_out, cold_model.fit_parts(fit, tests, [~out for out in left_out]), strict=True):
         unseen[out] = cold_model.residuals(part, tests.of(out))
     model_V = fitted + tests.voltage_V
     outcome = VariantOutcome(
@@ -203,9 +203,9 @@ def _outcome(
         by_group_fitted_V=_by_group(fitted, T, groups),
         by_group_held_out_V=_by_group(unseen, T, groups),
         rise_V=_rise(tests.time_s, model_V),
-        parameters=found.values(),
+        parameters=fit.values(),
     )
-    return outcome, found
+    return outcome, fit
 
 
 def _rms(residual: Array) -> Array:

@@ -59,8 +59,8 @@ class Summary:
     @property
     def within_ss(self) -> float:
         """Return the sum of squares within cells."""
-        known = self.counts > 1
-        return math.fsum((self.counts[known] - 1) * self.variances[known])
+        repeated = self.counts > 1
+        return math.fsum((self.counts[repeated] - 1) * self.variances[repeated])
 
     @property
     def typical_n(self) -> int:
@@ -69,19 +69,19 @@ class Summary:
         return max(set(counts), key=lambda c: (counts.count(c), c)) if counts else 1
 
 
-def numbers(values: ArrayLike, what: str) -> Array:
-    """Return a flat array of finite results. Raises BadCells naming `what`."""
+def numbers(values: ArrayLike, name: str) -> Array:
+    """Return a flat array of finite results. Raises BadCells naming `name`."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadCells(f"{what}: expected numbers") from None
+        raise BadCells(f"{name}: expected numbers") from None
     if array.ndim != 1:
-        raise BadCells(f"{what}: expected a flat sequence of results, found {array.ndim} dimensions")
+        raise BadCells(f"{name}: expected a flat sequence of results, found {array.ndim} dimensions")
     if array.size == 0:
-        raise BadCells(f"{what}: expected at least one result, it is empty")
+        raise BadCells(f"{name}: expected at least one result, it is empty")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
-        raise BadCells(f"{what}, result {bad[0] + 1}: expected a finite number, found {array[bad[0]]}")
+        raise BadCells(f"{name}, result {bad[0] + 1}: expected a finite number, found {array[bad[0]]}")
     return array
 
 

@@ -172,16 +172,16 @@ def cochran(cells: Cells) -> Cochran:
     noted. Raises BadCells, and NotEnoughData below two such cells.
     """
     summary = summarise(cells)
-    known = np.flatnonzero(summary.counts > 1)
-    p, n = len(known), summary.typical_n
+    repeated = np.flatnonzero(summary.counts > 1)
+    p, n = len(repeated), summary.typical_n
     if p < 2:
         raise NotEnoughData("Cochran's test needs two samples with two results or more each")
-    variances = summary.variances[known]
+    variances = summary.variances[repeated]
     total = math.fsum(variances)
-    index = int(known[int(np.argmax(variances))])
+    index = int(repeated[int(np.argmax(variances))])
     statistic = float(variances.max()) / total if total > 0 else math.nan
     critical_5, critical_1 = cochran_critical(p, n, 0.05), cochran_critical(p, n, 0.01)
-    notes = [f"unequal numbers of results: n = {n} used"] if np.ptp(summary.counts[known]) else []
+    notes = [f"unequal numbers of results: n = {n} used"] if np.ptp(summary.counts[repeated]) else []
     if total == 0:
         notes.append("all standard deviations are zero: nothing to compare")
     elif np.count_nonzero(variances) == 1:
@@ -224,10 +224,10 @@ def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
         raise NotEnoughData(f"the double Grubbs test needs four values or more, found {p}")
     order = np.argsort(values, kind="stable")
     _, whole = spread(values)
-    high, low = (spread(values[kept])[1] / whole if whole > 0 else 1.0 for kept in (order[:-2], order[2:]))
+    high, low = (spread(values[rest])[1] / whole if whole > 0 else 1.0 for rest in (order[:-2], order[2:]))
     critical_5, critical_1 = double_grubbs_critical(p, 0.05), double_grubbs_critical(p, 0.01)
-    known = not math.isnan(critical_5)
-    verdicts = [_double_verdict(p, g, critical_5, critical_1) if known else None for g in (high, low)]
+    is_judged = not math.isnan(critical_5)
+    verdicts = [_double_verdict(p, g, critical_5, critical_1) if is_judged else None for g in (high, low)]
     ends = (int(order[-1]), int(order[-2])), (int(order[0]), int(order[1]))
     return DoubleGrubbs(high, low, critical_5, critical_1, verdicts[0], verdicts[1], *ends)
 
@@ -250,16 +250,16 @@ def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
     0.707); with equal means h is 0. Raises BadCells, and NotEnoughData below two cells.
     """
     summary = summarise(cells)
-    p, known = summary.p, summary.counts > 1
+    p, repeated = summary.p, summary.counts > 1
     if p < 2:
         raise NotEnoughData("Mandel's h and k compare samples, found one")
     deviations, squares = spread(summary.offsets)
     h = deviations / math.sqrt(squares / (p - 1)) if squares > 0 else np.zeros(p)
-    with_k, n = int(known.sum()), summary.typical_n
-    weights = summary.counts[known] - 1 if pooling == "df" else np.ones(with_k)
-    total = math.fsum(weights * summary.variances[known])
+    with_k, n = int(repeated.sum()), summary.typical_n
+    weights = summary.counts[repeated] - 1 if pooling == "df" else np.ones(with_k)
+    total = math.fsum(weights * summary.variances[repeated])
     pooled = total / math.fsum(weights) if with_k else 0.0
-    k = np.sqrt(summary.variances / pooled) if pooled > 0 else np.where(known, 0.0, math.nan)
+    k = np.sqrt(summary.variances / pooled) if pooled > 0 else np.where(repeated, 0.0, math.nan)
     notes = ["fewer than three samples: h says nothing"] if p < 3 else []
     if total == 0:
         notes.append("all standard deviations are zero: k says nothing")
@@ -279,7 +279,7 @@ def scrutinise(cells: Cells) -> Scrutiny:
     if summary.p < 3:
         return Scrutiny(mandel(cells), variance_test, None, None, None)
     single = grubbs(means)
-    found = [index for _, index, verdict in single.ends if verdict != "ok"]
-    retest = grubbs(np.delete(means, found[0])) if found and summary.p > 3 else None
-    double = double_grubbs(means) if not found and summary.p > 3 else None
+    outlying = [index for _, index, verdict in single.ends if verdict != "ok"]
+    retest = grubbs(np.delete(means, outlying[0])) if outlying and summary.p > 3 else None
+    double = double_grubbs(means) if not outlying and summary.p > 3 else None
     return Scrutiny(mandel(cells), variance_test, single, double, retest)

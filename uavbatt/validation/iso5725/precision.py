@@ -163,8 +163,8 @@ def reml(summary: Summary) -> tuple[float, float, float]:
     rho = float(grid[best])
     if best > 0:
         ends = (float(grid[best - 1]), float(grid[min(best + 1, len(grid) - 1)]))
-        found = optimize.minimize_scalar(lambda r: fit(r)[2], bounds=ends, method="bounded", options={"xatol": 1e-12})
-        rho = float(found.x)
+        minimum = optimize.minimize_scalar(lambda r: fit(r)[2], bounds=ends, method="bounded", options={"xatol": 1e-12})
+        rho = float(minimum.x)
     mean, within, _ = fit(rho)
     return mean, within, rho * within
 

@@ -85,18 +85,18 @@ def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, si
     if (sigma_r is None) != (sigma_R is None):
         raise BadCells("expected both sigma_r and sigma_R, or neither")
     summary = summarise(cells)
-    found = precision_of(summary)
+    estimate = precision_of(summary)
     if summary.p < 2:
         raise NotEnoughData("the bias of a method needs two laboratories or more; use laboratory_bias for one")
-    known = sigma_r is not None and sigma_R is not None
-    s_r, s_R = found.s_r, found.s_R
+    has_sigmas = sigma_r is not None and sigma_R is not None
+    s_r, s_R = estimate.s_r, estimate.s_R
     if sigma_r is not None and sigma_R is not None:
         s_r, s_R = _checked_sigmas(sigma_r, sigma_R)
-    u = bias_uncertainty(s_r, s_R, found.n_bar, summary.p)
-    half = (1.96 if known else float(stats.t.ppf(0.975, summary.p - 1))) * u
-    bias = found.mean - reference
+    u = bias_uncertainty(s_r, s_R, estimate.n_bar, summary.p)
+    half = (1.96 if has_sigmas else float(stats.t.ppf(0.975, summary.p - 1))) * u
+    bias = estimate.mean - reference
     few = () if summary.p >= 3 else ("fewer than three laboratories: the interval says little",)
-    return Bias(bias, u, (bias - half, bias + half), abs(bias) > half, found.n_total, few)
+    return Bias(bias, u, (bias - half, bias + half), abs(bias) > half, estimate.n_total, few)
 
 
 def _check_reference(reference: float) -> None:
@@ -124,12 +124,12 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
     """
     sigma_r, sigma_R = _checked_sigmas(sigma_r, sigma_R)
     summary = summarise(cells)
-    found, df, p = precision_of(summary), summary.within_df, summary.p
+    estimate, df, p = precision_of(summary), summary.within_df, summary.p
     if p < 2:
         raise NotEnoughData("the check of a known reproducibility needs two laboratories or more")
-    share = 1 - 1 / found.n_bar
-    C_r = found.s_r**2 / sigma_r**2
-    C_R = (found.s_R**2 - share * found.s_r**2) / (sigma_R**2 - share * sigma_r**2)
+    share = 1 - 1 / estimate.n_bar
+    C_r = estimate.s_r**2 / sigma_r**2
+    C_R = (estimate.s_R**2 - share * estimate.s_r**2) / (sigma_R**2 - share * sigma_r**2)
     limits = float(stats.chi2.ppf(1 - alpha, df)) / df, float(stats.chi2.ppf(1 - alpha, p - 1)) / (p - 1)
     return PrecisionCheck(C_r, limits[0], C_R, limits[1], bool(np.all(np.array([C_r, C_R]) <= limits)))
 

@@ -56,9 +56,9 @@ def components(y: Array) -> Components:
     rows, columns, grand = d.mean(axis=1), d.mean(axis=0), d.mean(axis=(0, 1))
     r = rows - grand
     ms_o = k * r.T @ r / (o - 1)
-    nothing = np.zeros((levels, levels))
+    zero = np.zeros((levels, levels))
     if k == 1:
-        return Components(ms_o, nothing, nothing, o, 1)
+        return Components(ms_o, zero, zero, o, 1)
     c, e = columns - grand, (d - rows[:, None] - columns + grand).reshape(o * k, levels)
     ms_s, ms_e = o * c.T @ c / (k - 1), e.T @ e / ((o - 1) * (k - 1))
     return Components(_clipped((ms_o - ms_e) / k), _clipped((ms_s - ms_e) / o), ms_e, o, k)

@@ -56,25 +56,27 @@ def inconsistencies(levels: Levels) -> Iterator[Inconsistency]:
     kinds: tuple[Inconsistent, ...] = ("scatter", "mean")
     for kind in kinds:
         test = _scatter if kind == "scatter" else _mean
-        found = {i: one for i in instants if (one := test(_cells(levels, i), len(instants))) is not None}
-        for sample in sorted({f.sample for f in found.values()}):
-            its = {i: f for i, f in found.items() if f.sample == sample}
-            worst = max(its, key=lambda i: its[i].statistic / its[i].critical)
-            is_certain = any(f.statistic > f.strict for f in its.values())
-            yield Inconsistency(kind, str(levels.samples[sample]), tuple(its), worst, *its[worst][1:-1], is_certain)
+        by_instant = {i: one for i in instants if (one := test(_cells(levels, i), len(instants))) is not None}
+        for sample in sorted({f.sample for f in by_instant.values()}):
+            of_sample = {i: f for i, f in by_instant.items() if f.sample == sample}
+            worst = max(of_sample, key=lambda i: of_sample[i].statistic / of_sample[i].critical)
+            is_certain = any(f.statistic > f.strict for f in of_sample.values())
+            yield Inconsistency(
+                kind, str(levels.samples[sample]), tuple(of_sample), worst, *of_sample[worst][1:-1], is_certain
+            )
 
 
-def words(found: Inconsistency, name: str, unit: str, minutes: str, worst_minute: str) -> tuple[str, str]:
+def words(sample: Inconsistency, name: str, unit: str, minutes: str, worst_minute: str) -> tuple[str, str]:
     """Return a title and a detail; `name` and `unit` are of what was measured, the minutes are when."""
     does, of, test = {
         "scatter": ("scatters more than the others", "SD", "Cochran"),
         "mean": ("lies apart from the others", "mean", "Grubbs"),
-    }[found.kind]
+    }[sample.kind]
     detail = (
-        f"At {worst_minute} min its {of} is {found.own:.4g} {unit}, that of the others {found.others:.4g} {unit}: "
-        f"{test} {found.statistic:.3f} > {found.critical:.3f} (1 %). It counts in all results: look for the cause."
+        f"At {worst_minute} min its {of} is {sample.own:.4g} {unit}, that of the others {sample.others:.4g} {unit}: "
+        f"{test} {sample.statistic:.3f} > {sample.critical:.3f} (1 %). It counts in all results: look for the cause."
     )
-    return f"The {name} of sample {found.sample} {does} at {minutes}", detail
+    return f"The {name} of sample {sample.sample} {does} at {minutes}", detail
 
 
 def _cells(levels: Levels, instant: int) -> list[Array]:

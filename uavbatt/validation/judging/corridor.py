@@ -105,17 +105,17 @@ def shared_table(levels: Levels) -> SharedTable:
     present: NDBool = np.asarray(~np.isnan(levels.values).any(axis=2))
     runs = [int(n) for n in present.sum(axis=0)]
     most = max(runs)
-    kept = [j for j, n in enumerate(runs) if n >= max(min(2, most), most / 2)]
-    names = tuple(levels.samples[j] for j in kept)
-    lost = [j for j in range(len(runs)) if j not in kept]
-    notes = [f"sample {levels.samples[j]} left out: {runs[j]} of {most} occasions" for j in lost]
-    complete = np.flatnonzero(present[:, kept].all(axis=1))
-    if len(complete) >= 2 or len(kept) == 1:
+    columns = [j for j, n in enumerate(runs) if n >= max(min(2, most), most / 2)]
+    names = tuple(levels.samples[j] for j in columns)
+    dropped = [j for j in range(len(runs)) if j not in columns]
+    notes = [f"sample {levels.samples[j]} left out: {runs[j]} of {most} occasions" for j in dropped]
+    complete = np.flatnonzero(present[:, columns].all(axis=1))
+    if len(complete) >= 2 or len(columns) == 1:
         missed = len(levels.occasions) - len(complete)
         notes += [f"{missed} occasions left out that not all samples share"] * bool(missed)
         occasions = tuple(levels.occasions[i] for i in complete)
-        return SharedTable(levels.values[complete][:, kept], occasions, names, tuple(notes))
-    tables = [levels.curves(j) for j in kept]
+        return SharedTable(levels.values[complete][:, columns], occasions, names, tuple(notes))
+    tables = [levels.curves(j) for j in columns]
     n = min(len(t) for t in tables)
     notes.append("the samples share no occasions: their runs are taken in order")
     return SharedTable(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
@@ -138,8 +138,8 @@ def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed
 
 def corridors(readings: Readings, quantity: str = VOLTAGE, seed: int = 5725) -> dict[float, Corridor]:
     """Build the corridor of every ambient temperature at which `quantity` was measured."""
-    found = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
-    return {t: c for t, c in found if c is not None}
+    bands = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
+    return {t: c for t, c in bands if c is not None}
 
 
 def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
@@ -167,8 +167,8 @@ def time_corridor(
     values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
     for run in readings.tests.at(ambient_C):
         if run.sample in levels.samples and run.run in levels.occasions:
-            where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
-            values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
+            cell = (levels.occasions.index(run.run), levels.samples.index(run.sample))
+            values[cell] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
     timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)
     shared = shared_table(timed)
     table, notes = shared.table, levels.left_out + shared.notes
@@ -215,12 +215,12 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
         return np.full(len(parts.occasion), o - 1.0)
     v_o, v_s, v_e = (np.maximum(np.diag(m), 0.0) for m in (parts.occasion, parts.sample, parts.residual))
     dfs = (o - 1.0, (o - 1.0) * (k - 1.0), k - 1.0)
-    found = []
+    df = []
     for a, b, e in zip(v_o, v_s, v_e, strict=True):
         rest = 1 - 1 / k - (1 / o if with_samples else 0.0)
         terms = [(k * a + e) / k, rest * e, (o * b + e) / o if with_samples else 0.0]
-        found.append(satterthwaite(terms, dfs) if sum(terms) > 0 else float(o - 1))
-    return np.array(found)
+        df.append(satterthwaite(terms, dfs) if sum(terms) > 0 else float(o - 1))
+    return np.array(df)
 
 
 def from_quasi_replicates(
@@ -246,21 +246,21 @@ def from_quasi_replicates(
     s, unknown = group.sd, np.full(levels, math.nan)
     low, high = float(group.ambients_C.min()), float(group.ambients_C.max())
     source = f"scatter of {m} one-time curves about a line from {low:g} to {high:g} °C, one series of one pack"
-    said = (source, *(f"left out: {where}" for where in group.left_out))
+    remarks = (source, *(f"left out: {reading}" for reading in group.left_out))
     return Corridor(
         ambient_C, "voltage_V", group.time_s, group.line(ambient_C), s / np.sqrt(n_eff), s, unknown, unknown, unknown,
         s, 2 * s, tolerance * s, factor * s, n_eff, group.df, factor, one, every, m, 1, "quasi-replicates", "ok",
-        notes + said,
+        notes + remarks,
     )  # fmt: skip
 
 
 def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...]) -> Corridor:
     nan, mean = np.full(len(at), math.nan), np.full(len(at), math.nan) if table.size == 0 else table.mean(axis=(0, 1))
     runs = f"{len(table)} run{'s' * (len(table) != 1)}"
-    said = (f"{runs} at {ambient_C:g} °C: a corridor needs {LEAST_OCCASIONS} repeats",)
+    remarks = (f"{runs} at {ambient_C:g} °C: a corridor needs {LEAST_OCCASIONS} repeats",)
     return Corridor(
         ambient_C, quantity, at, mean, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, math.nan, math.nan,
-        math.nan, len(table), table.shape[1], "one run", "not enough data", notes + said,
+        math.nan, len(table), table.shape[1], "one run", "not enough data", notes + remarks,
     )  # fmt: skip
 
 

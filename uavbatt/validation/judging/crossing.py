@@ -26,8 +26,8 @@ def _crossings(time_s: Array, voltage_V: Array, level_V: float, downward: bool) 
 
 def downward_crossings(time_s: Array, voltage_V: Array, level_V: float) -> Array:
     """List every time [s] at which the voltage falls through `level_V` [V]; readings that are NaN are passed over."""
-    known = ~np.isnan(voltage_V)
-    return _crossings(time_s[known], voltage_V[known], level_V, True)
+    measured = ~np.isnan(voltage_V)
+    return _crossings(time_s[measured], voltage_V[measured], level_V, True)
 
 
 def crossing_time(
@@ -41,8 +41,8 @@ def crossing_time(
     if not len(down):
         return math.nan
     if which == "held":
-        known = ~np.isnan(voltage_V)
-        up = _crossings(time_s[known], voltage_V[known], level_V, False)
+        measured = ~np.isnan(voltage_V)
+        up = _crossings(time_s[measured], voltage_V[measured], level_V, False)
         next_up = [float(up[up > t].min(initial=math.inf)) for t in down]
         return float(next(t for t, u in zip(down, next_up, strict=True) if u - t >= hold_s or t == down[-1]))
     return float(down[0 if which == "first" else -1])

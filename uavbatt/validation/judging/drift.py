@@ -180,8 +180,8 @@ def slope(results: ArrayLike) -> Slope:
     n = len(values)
     runs = np.arange(n) - (n - 1) / 2
     per_run = float(runs @ values / (runs @ runs))
-    left = float(((values - per_run * runs) ** 2).sum()) / (n - 2)
-    error = math.sqrt(left / float(runs @ runs))
+    residual_variance = float(((values - per_run * runs) ** 2).sum()) / (n - 2)
+    error = math.sqrt(residual_variance / float(runs @ runs))
     p = float(2 * stats.t.sf(abs(per_run) / error, n - 2)) if error > 0 else (0.0 if per_run else 1.0)
     return Slope(per_run, error, p, float(stats.theilslopes(values).slope))
 
@@ -231,5 +231,5 @@ def curve_step(table: Array, seed: int = 5725) -> StepTest:
 def drift(results: ArrayLike, seed: int = 5725) -> Drift:
     """Run every drift test on one column of results in run order. Raises NotEnoughData below four runs."""
     values = _in_order(results, 4)
-    found = step(values, seed) if len(values) >= 5 else None
-    return Drift(paper_rule(values), abbe(values, seed), mann_kendall(values), slope(values), found)
+    step_test = step(values, seed) if len(values) >= 5 else None
+    return Drift(paper_rule(values), abbe(values, seed), mann_kendall(values), slope(values), step_test)

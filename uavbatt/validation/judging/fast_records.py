@@ -63,9 +63,9 @@ def at_minutes(dataset: DataSet) -> DataSet:
     runs = list(dataset.runs)
     for ambient_C in dataset.ambients_C:
         fast = [i for i, r in enumerate(runs) if r.ambient_C == ambient_C and is_fast(r)]
-        read = {i: _at_minutes(runs[i]) for i in fast}
-        barred = {float(t) for r in read.values() for t in r.time_s[np.isnan(r.voltage_V)]}
-        for i, run in read.items():
+        minute_runs = {i: _at_minutes(runs[i]) for i in fast}
+        barred = {float(t) for r in minute_runs.values() for t in r.time_s[np.isnan(r.voltage_V)]}
+        for i, run in minute_runs.items():
             runs[i] = _kept(run, ~np.isin(run.time_s, list(barred)))
     return replace(dataset, runs=tuple(runs))
 

@@ -31,17 +31,17 @@ def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tup
     `band` is the corridor of the voltage at that temperature, None where nothing was measured.
     """
     volts, heat = (readings.levels(ambient_C, q) for q in (VOLTAGE, SURFACE))
-    dataset, found = readings.tests, list[Finding]()
+    dataset, all_findings = readings.tests, list[Finding]()
     if volts is not None and len(volts.occasions) > 1:
-        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(volts, band)]
-        found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
+        all_findings += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(volts, band)]
+        all_findings += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
-            found += [*_drift(levels), *inconsistent_samples(levels), *outlying_runs(levels)]
-            found += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
-    found += [*likely_misprints(readings), *_breaks(readings)]
+            all_findings += [*_drift(levels), *inconsistent_samples(levels), *outlying_runs(levels)]
+            all_findings += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
+    all_findings += [*likely_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
-    return tuple(sorted(found, key=lambda f: rank[f.severity]))
+    return tuple(sorted(all_findings, key=lambda f: rank[f.severity]))
 
 
 def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
@@ -51,20 +51,20 @@ def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
         return
     step = dataset.uncertainty.voltage_resolution_V or 0.0
     for i, j in combinations(range(table.shape[1]), 2):
-        found = independence(table[:, i], table[:, j], resolution=step)
+        test = independence(table[:, i], table[:, j], resolution=step)
         names = f"samples {shared.samples[i]} and {shared.samples[j]}"
-        numbers = {"identical": found.identical, "compared": found.compared, "p_value": found.p_identical,
-                   "correlation": found.correlation, "expected": found.expected_identical}  # fmt: skip
+        numbers = {"identical": test.identical, "compared": test.compared, "p_value": test.p_identical,
+                   "correlation": test.correlation, "expected": test.expected_identical}  # fmt: skip
         detail = (
-            f"{found.identical} of {found.compared} readings are identical; pairing the runs at random gives "
-            f"{found.expected_identical:.1f} on average and {found.most_identical} at most (p = "
-            f"{found.p_identical:.1g}). The deviations from the mean curve are correlated, r = "
-            f"{found.correlation:.2f} (p = {found.p_correlation:.1g})."
+            f"{test.identical} of {test.compared} readings are identical; pairing the runs at random gives "
+            f"{test.expected_identical:.1f} on average and {test.most_identical} at most (p = "
+            f"{test.p_identical:.1g}). The deviations from the mean curve are correlated, r = "
+            f"{test.correlation:.2f} (p = {test.p_correlation:.1g})."
         )
-        if found.dependent:
+        if test.dependent:
             title = f"The {names} are not independent: the second adds almost no information"
             yield Finding("dependent_samples", title, detail, "serious", numbers)
-        elif found.dependent is None:
+        elif test.dependent is None:
             title = f"Too few runs to tell whether the {names} are independent"
             yield Finding("independence_unknown", title, detail, "note", numbers)
 
@@ -79,19 +79,19 @@ def _few_samples(levels: Levels) -> Iterator[Finding]:
 
 
 def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
-    left = leave_one_out(levels)
-    if left is None or band is None or min(left.share_all, band.covers_all) >= HELD_WELL:
+    cross_check = leave_one_out(levels)
+    if cross_check is None or band is None or min(cross_check.share_all, band.covers_all) >= HELD_WELL:
         return
-    held, total = int(left.inside.sum()), left.inside.size
-    out = [f"run {o} of sample {s}" for o, row in zip(left.occasions, left.inside, strict=True)
-           for s, ok in zip(left.samples, row, strict=True) if not ok]  # fmt: skip
-    title = f"The ±2S corridor holds only about {left.share_all:.0%} of genuine flights from start to end"
+    inside, total = int(cross_check.inside.sum()), cross_check.inside.size
+    out = [f"run {o} of sample {s}" for o, row in zip(cross_check.occasions, cross_check.inside, strict=True)
+           for s, ok in zip(cross_check.samples, row, strict=True) if not ok]  # fmt: skip
+    title = f"The ±2S corridor holds only about {cross_check.share_all:.0%} of genuine flights from start to end"
     detail = (
-        f"Judged by the corridor of all other occasions, {held} of {total} curves stay inside at every instant "
+        f"Judged by the corridor of all other occasions, {inside} of {total} curves stay inside at every instant "
         f"(out: {', '.join(out[:8])}{' and more' if len(out) > 8 else ''}); simulated {band.covers_all:.0%}. At one "
         f"instant alone {band.covers_one:.0%}. ±{band.simultaneous_factor:.2f} SD would hold 95 % from start to end."
     )
-    numbers = {"held": held, "total": total, "share": left.share_all, "simulated": band.covers_all}
+    numbers = {"held": inside, "total": total, "share": cross_check.share_all, "simulated": band.covers_all}
     # every band that holds 95 % at one instant has this property: the reader must know it, but the tests are not at
     # fault
     yield Finding("corridor_coverage", title, detail, "note", numbers)
@@ -200,13 +200,13 @@ def _two_groups(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
         table = levels.curves(j)
         if len(table) < 6:
             continue
-        found = [bimodality(column, _step(dataset, levels.quantity)) for column in table.T]
-        split = [i for i, b in enumerate(found) if b.bimodal]
+        splits = [bimodality(column, _step(dataset, levels.quantity)) for column in table.T]
+        split = [i for i, b in enumerate(splits) if b.bimodal]
         if split:
             name, unit, when = NAMES[levels.quantity], UNITS[levels.quantity], minutes(levels.time_s[split])
             title = f"The {name} of sample {sample} falls into two groups at {when}"
-            gaps = "; ".join(f"{levels.time_s[i] / 60:g} min: {found[i].groups[0]} and {found[i].groups[1]} results "
-                             f"{found[i].gap:.2g} {unit} apart" for i in split)  # fmt: skip
+            gaps = "; ".join(f"{levels.time_s[i] / 60:g} min: {splits[i].groups[0]} and {splits[i].groups[1]} results "
+                             f"{splits[i].gap:.2g} {unit} apart" for i in split)  # fmt: skip
             detail = f"{gaps}. One mean and one SD do not describe that."
             yield Finding("two_groups", title, detail, "note", {"instants": len(split)})
 

@@ -22,9 +22,9 @@ def inconsistent_samples(levels: Levels) -> Iterator[Finding]:
     for f in inconsistencies(levels):
         at = levels.time_s[list(f.instants)]
         when = (minutes(at), f"{levels.time_s[f.worst] / 60:g}")
-        told = words(f, NAMES[levels.quantity], UNITS[levels.quantity], *when)
+        title_and_detail = words(f, NAMES[levels.quantity], UNITS[levels.quantity], *when)
         numbers = {"instants": at.size, "statistic": f.statistic, "critical_1": f.critical}
-        yield Finding(f"inconsistent_{f.kind}", *told, "warning" if f.is_certain else "note", numbers)
+        yield Finding(f"inconsistent_{f.kind}", *title_and_detail, "warning" if f.is_certain else "note", numbers)
 
 
 def outlying_runs(levels: Levels) -> Iterator[Finding]:
@@ -36,8 +36,8 @@ def outlying_runs(levels: Levels) -> Iterator[Finding]:
         runs = [o for o, row in zip(levels.occasions, levels.values[:, j], strict=True) if not np.isnan(row).any()]
         for i, t in enumerate(levels.time_s):
             for index, side, G, limit in _beyond(table[:, i]):
-                where = f"{t / 60:g} min ({NAMES[levels.quantity]})"
-                title = f"Run {runs[index]} of sample {sample} is an outlier at {where}"
+                place = f"{t / 60:g} min ({NAMES[levels.quantity]})"
+                title = f"Run {runs[index]} of sample {sample} is an outlier at {place}"
                 value = f"{table[index, i]:g} {UNITS[levels.quantity]}"
                 detail = f"{value} is too {side}: Grubbs {G:.3f} > {limit:.3f} (1 %)."
                 yield Finding("outlier", title, detail, "note", {"run": runs[index], "minute": t / 60, "G": G})

@@ -48,15 +48,15 @@ class Readings:
 def read_once(dataset: DataSet) -> Readings:
     """Read fast records at the whole minutes and work out every table that judging and gating share."""
     tests = at_minutes(dataset)
-    wanted = [(t, q) for t in dataset.ambients_C for q in (VOLTAGE, SURFACE)]
-    found = ((key, whole_minutes(tests, *key)) for key in wanted)
+    keys = [(t, q) for t in dataset.ambients_C for q in (VOLTAGE, SURFACE)]
+    tables = ((key, whole_minutes(tests, *key)) for key in keys)
     series = single_series(tests)
     broken = breaks(tests, series)
     return Readings(
         dataset=dataset,
         tests=tests,
         ambient_C=repeated_ambient(dataset),
-        tables={key: table for key, table in found if table is not None},
+        tables={key: table for key, table in tables if table is not None},
         series=series,
         broken=broken,
         near_repeats=quasi_replicates(series, broken, tests.flags),

@@ -150,8 +150,8 @@ def _line(group: list[Run], flags: tuple[Flag, ...]) -> QuasiReplicates:
 
 def _fit(t: Array, y: Array) -> tuple[float, float, float, float, Array]:
     """Return centre, slope, residual SD, degrees of freedom, residuals (0 for a reading that is left out)."""
-    known = ~np.isnan(y)
-    slope, centre = np.polyfit(t[known], y[known], 1)
-    residuals = np.where(known, y - centre - slope * t, 0.0)
-    df = int(known.sum()) - 2
+    measured = ~np.isnan(y)
+    slope, centre = np.polyfit(t[measured], y[measured], 1)
+    residuals = np.where(measured, y - centre - slope * t, 0.0)
+    df = int(measured.sum()) - 2
     return float(centre), float(slope), math.sqrt(float((residuals**2).sum()) / df), float(df), residuals

@@ -135,8 +135,8 @@ def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, r
     t_kr, f_kr = eq.t_critical(n), eq.f_critical(n)
     may_pool = bool(t <= t_kr and (sds.max() == 0 or not f_kr < F))
     ratios = (float(t), t_kr, float(printed), float(F), f_kr)
-    found = (*ratios, may_pool, sigma_R, R, beyond, mean, S2, eq.corridor_half_width(S2))
-    return PooledResults(quantity, time_s, tuple(means.tolist()), tuple(variances.tolist()), *found)
+    figures = (*ratios, may_pool, sigma_R, R, beyond, mean, S2, eq.corridor_half_width(S2))
+    return PooledResults(quantity, time_s, tuple(means.tolist()), tuple(variances.tolist()), *figures)
 
 
 def _complete(levels: Levels) -> tuple[list[Array], tuple[str, ...]]:
@@ -192,21 +192,21 @@ def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
 
 
 def _columns(levels: Levels, tables: list[Array]) -> tuple[ColumnFigures, ...]:
-    named = list(zip(levels.samples, tables, strict=True))
+    by_sample = list(zip(levels.samples, tables, strict=True))
     return tuple(
-        column(s, levels.quantity, float(t), table[:, i]) for s, table in named for i, t in enumerate(levels.time_s)
+        column(s, levels.quantity, float(t), table[:, i]) for s, table in by_sample for i, t in enumerate(levels.time_s)
     )
 
 
 def _pooled(levels: Levels, tables: list[Array]) -> tuple[PooledResults, ...]:
     if len(tables) < 2:
         return ()
-    n, found = len(tables[0]), []
+    n, pooled = len(tables[0]), []
     for i, t in enumerate(levels.time_s):
         cells = [table[:, i] for table in tables]
         means, sds = (np.array([f(c) for c in cells]) for f in (eq.eq3_mean, eq.eq4_sd))
-        found.append(pool(levels.quantity, float(t), means, sds**2, n, np.concatenate(cells)))
-    return tuple(found)
+        pooled.append(pool(levels.quantity, float(t), means, sds**2, n, np.concatenate(cells)))
+    return tuple(pooled)
 
 
 def lattice_sum_of_squares(target: float, tolerance: float, mean: float, n: int) -> float | None:
