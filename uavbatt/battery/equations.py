@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 Number = Any  # a float or an array of them: numpy's stubs cannot say "the same as came in"
 
-KELVIN = 273.15
-REFERENCE_TEMP_C = 25.0
+KELVIN = 273.15  # 0 °C in K
+REFERENCE_TEMP_C = 25.0  # of resistance and reactions; the study's tests are repeated there
 SECONDS_PER_HOUR = 3600.0
-LEAST_EMF_V = 1e-3
+LEAST_EMF_V = 1e-3  # keeps a division by the EMF finite where a fit tries an empty cell
 
 
 def is_on(value: Number) -> bool:

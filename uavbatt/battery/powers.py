@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike
 
 from uavbatt.battery.model import Array
 
-DRAG_AT_MS = 10.0
-FAST_MS = 8.0
+DRAG_AT_MS = 10.0  # where `drag` is a share of the hover power: v/10 in the law
+FAST_MS = 8.0  # airspeed at which the share f of fast flight is a half
 MOST_BEYOND = 4.0
 TURN_S = 5.0  # time of a turn up to the new speed: 4 to 6 s for a simulated quadrotor
 GRAVITY_MS2 = 9.81

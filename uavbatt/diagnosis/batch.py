@@ -18,8 +18,9 @@ from uavbatt.diagnosis.evidence import Evidence, Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.simulation import OwnValues, Simulated, simulate
 
-NUDGE = 2e-3
-NUISANCES = 3
+NUDGE = 2e-3  # finite difference in sds: far above rounding, far below a bend of the model
+NUISANCES = 3  # of each record: start of charge, start temperature, ambient temperature
+# Of the start temperature where it was measured, of the ambient temperature, of a start that was not measured.
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
 FREE_START_SD = 0.02  # sd of a record's start around the shift that all share
 

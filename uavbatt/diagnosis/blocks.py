@@ -11,7 +11,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
-TAKE_OFF_S = 60.0
+TAKE_OFF_S = 60.0  # the climb from the ground, whose current is the highest of a flight
 BLOCKS = ("rest", "take-off", "first third", "middle third", "last third", "temperature")
 
 

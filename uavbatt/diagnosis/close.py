@@ -35,6 +35,7 @@ from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry.drawn import loaded_A
 
+# Rows are thinned to one in ROW_S, as the model is slower; one forecast a minute is judged, the first after SETTLING_S.
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 

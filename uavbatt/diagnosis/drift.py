@@ -19,7 +19,7 @@ from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.simulation import MAY_DRIFT
 from uavbatt.diagnosis.worth import left_out_chi2
 
-TURNS = 8
+TURNS = 8  # iterations: the start is the fit without drift, so that few are needed
 WARMS = "voltage_gain"
 WITHIN: dict[Course, str] = {
     "time": "within each",

@@ -31,15 +31,16 @@ from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
 
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
+# A shorter record does not leave the wander of the model behind it; with less charge drawn, no capacity shows.
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
-LEAST_RECORDS = 2
+LEAST_RECORDS = 2  # one alone cannot tell an effect from a peculiarity of its day
 LEAST_CHANGE = 0.04  # least relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
-FULL_SD = 0.008
-IDLE_NOISE_A = 0.15
+FULL_SD = 0.008  # of the charge of a full pack: chargers end at different currents
+IDLE_NOISE_A = 0.15  # an offset is seen at rest to within that
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
-FAST_ROW_S = 1.5
-SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
+FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
+SHIFTS_S = np.arange(-8.0, 8.01, 0.5)  # the bounds of `current_delay`, in steps of half a row of 1 s
 
 
 Rows = NDArray[np.intp]

@@ -37,9 +37,9 @@ EARNED = 12.0  # least worth of the best of many courses (scripts/diagnose_cases
 EARNED_ONCE = 36.0  # for an effect in one flight only, which may be a peculiarity of that flight
 GROWS = 6.0  # chi-square by which a growing effect must fit better than one that begins at once
 AS_GOOD = 6.0  # chi-square difference within which another first flight is as good
-MOST_EFFECTS = 2
+MOST_EFFECTS = 2  # with their courses; every further one leaves less evidence for the others
 REFITTED = 12  # courses that are refitted after all are looked through
-LEAST_FLIGHTS = 2
+LEAST_FLIGHTS = 2  # a course needs a flight before and one after it begins
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
-ITERATIONS = 12
+ITERATIONS = 12  # of a candidate, which starts at the fit without it
 SETTLED = 40  # iterations for the model without an effect: what has not converged would be credited to every effect
-SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
+SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)  # starts of an effect, in sds of its prior
 CONVERGED = 0.01  # smallest chi-square that a step must be expected to gain
 
 

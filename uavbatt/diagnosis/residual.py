@@ -16,7 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Evidence
 from uavbatt.diagnosis.simulation import Simulated
 
-PARTS = 3
+PARTS = 3  # early, middle, late: what a person can tell apart in a short sentence
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from uavbatt.diagnosis.worth import Worth, at_bound, worth
 
 EARNED = 3.0  # chance gave at most 2.84 in 140 effect-free sets, and half of EARNED in one of 20
 RESIZED = 0.25  # prior of another size of an effect in the file, relative to an effect that the file lacks
-FIRST_TURNS, FURTHER_TURNS = 14, 8
+FIRST_TURNS, FURTHER_TURNS = 14, 8  # iterations from the model without the effect, and from a fit with it
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from uavbatt.fitting import assemble, prior
 # Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.
 RESISTANCE_SCALE_SD = 0.4
 CAPACITY_SCALE_SD = 0.05
-CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
+CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5  # under load; 10.5 V for a warning is the usual setting of a 3S pack
 
 
 def generic_lipo() -> BatteryFile:

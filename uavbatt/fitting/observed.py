@@ -24,8 +24,8 @@ from uavbatt.telemetry.plausibility import BOARD_START_C
 BIN_S = 5.0
 # The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
-HELD_WINDOW_S = 30.0
-LEAST_ROWS, LEAST_BINS = 10, 3
+HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, short enough for one load
+LEAST_ROWS, LEAST_BINS = 10, 3  # fewer bins have no curvature, and fewer rows no scatter
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from uavbatt.records import Flight, Sample
 
 BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
+# v_h = √(m g / 2 ρ A): 4 m/s for 2 kg on four propellers of 15 inch, 6 for 3 kg on 13 inch. The best of them is taken.
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
 SHAPE_SD = 0.01  # error of the law itself within a cell of 1 m/s airspeed and climb

@@ -28,7 +28,7 @@ OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
 
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
-DISORDER_SD_V = 0.003
+DISORDER_SD_V = 0.003  # an OCV may fall short of the flattest slope by the resolution of a cell's meter
 
 RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 # 5.6 mohm for a cell of 5 Ah, without the polarisation. Packs differ by a factor of 1.6 either way: in all 0.04 ohm·Ah

@@ -21,9 +21,9 @@ from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Posterior, Slot
 
-TEMPERATURE_SD_K = 0.6
-ROBUST_SCALE = 4.0
-NUDGE = 1e-4
+TEMPERATURE_SD_K = 0.6  # of a pack's thermometer and its place on the pack
+ROBUST_SCALE = 4.0  # sds beyond which a residual counts as an outlier
+NUDGE = 1e-4  # finite difference in sds of the prior
 OWN = ("start_soc", "log_resistance", "log_capacity")
 
 

@@ -21,9 +21,9 @@ from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.most_probable import Residuals, most_probable
 from uavbatt.fitting.prior import Posterior, Slot
 
-STEP_S = 5.0
+STEP_S = 5.0  # of the simulation: a twelfth of the time between two readings
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
-SURFACE_SD_K = 0.25
+SURFACE_SD_K = 0.25  # of a reading to 0.1 °C by hand, beside the place of the sensor
 
 LOAD_SLOTS = (
     Slot("c_rate", 8.0, 1.5),

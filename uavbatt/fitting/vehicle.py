@@ -19,7 +19,7 @@ from uavbatt.fitting.powers import SHORTEST_S, powers
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Flight
 
-GRID_S = 10.0
+GRID_S = 10.0  # of a load trace: slower than the turns of an aircraft, faster than the pack's reactions
 LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
 
 

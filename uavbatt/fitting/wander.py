@@ -31,9 +31,9 @@ LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # n
 LEAST_K, LEAST_NOISE_K = 0.15, 0.02
 USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
 USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
-DIGITS = 4
+DIGITS = 4  # significant: the sds are known to two
 PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # sds of logarithms
-NUDGE = 1e-3
+NUDGE = 1e-3  # finite difference in the logarithms
 
 
 class Misfit(NamedTuple):

@@ -11,7 +11,7 @@ from uavbatt import __version__
 from uavbatt.errors import UavbattError, UsageError
 from uavbatt.fleet.errand import Errand, Row
 
-WAIT_FOR_WORKERS_S = 30
+WAIT_FOR_WORKERS_S = 30  # a worker that starts with the cluster is there by then
 
 
 class Cluster(Generic[Row]):

@@ -30,8 +30,8 @@ from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
-EMPTY_SOC = 0.05
-OPTIMISTIC_S = 60.0
+EMPTY_SOC = 0.05  # a landing with less has worn the cells
+OPTIMISTIC_S = 60.0  # half of the two minutes that were left
 RESISTANCE_GROWN = 1.4
 MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 

@@ -27,8 +27,8 @@ from typing import Any, Generic, NamedTuple
 from uavbatt.errors import UavbattError, UsageError
 from uavbatt.fleet.errand import Errand, Row
 
-TRIES = 2
-LOOK_PERIOD_S = 1.0
+TRIES = 2  # a log that kills its process twice is at fault itself
+LOOK_PERIOD_S = 1.0  # how often processes are looked after; a flight takes some seconds
 MEMORY_IN_USE = 0.9  # of the machine's memory, by all workers together
 LEAST_BYTES = 150e6  # memory of a worker with a small log
 _SPAWN = multiprocessing.get_context("spawn")

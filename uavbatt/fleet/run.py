@@ -25,7 +25,7 @@ from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
 from uavbatt.fleet.processes import Processes
 from uavbatt.fleet.row import LOST, FlightRow, row_of
 
-_UNDER_WAY_PER_WORKER = 3
+_UNDER_WAY_PER_WORKER = 3  # so that no worker waits for its next log, and few are lost with it
 
 
 class Workers(Protocol[Row]):

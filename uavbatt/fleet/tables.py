@@ -18,7 +18,7 @@ from uavbatt.fleet.logs import TABLE
 from uavbatt.fleet.row import COLUMNS, FlightRow
 
 PARQUET, CSV = "flights.parquet", TABLE
-_BATCH = 1000
+_BATCH = 1000  # rows in memory at one time
 _TIME = "start_utc"
 _TEXTS = tuple(name for name, kind in COLUMNS if kind == "str" and name != _TIME)
 _RUN = ("=", "+", "-", "@", "\t", "\r", "\n")

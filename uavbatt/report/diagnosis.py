@@ -52,7 +52,7 @@ ANSWERS = {
 }
 TOGETHER = "Several things are missing in the battery file together, and they have names."
 MAY_HIDE = "If something small is missing all the same, it is most likely this, and no larger than the interval says:"
-ROOM_FOR_NAMES = 120.0
+ROOM_FOR_NAMES = 120.0  # px on the left of the bars: the longest name of a block
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
 

@@ -32,7 +32,7 @@ from uavbatt.report.page import (
 )
 
 MOST_DRAWN = 6  # groups
-MOST_REASONS = 10
+MOST_REASONS = 10  # rows; the flights themselves are in the folded table
 
 
 def fleet_report(overview: Overview, battery: str, remarks: Sequence[tuple[str, str]] = ()) -> str:

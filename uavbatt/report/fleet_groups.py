@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from uavbatt.fleet.row import FlightRow
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
-ENOUGH_FLIGHTS = 4
+ENOUGH_FLIGHTS = 4  # a line through fewer leaves too little to judge its own scatter by
 STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
 LISTED_SHARE = 0.2  # largest share of flights on the list of those to look at
-MOST_LISTED = 100
+MOST_LISTED = 100  # rows of a list that a person may read; the table of flights holds all
 _FIGURE = re.compile(r"\d+(\.\d+)?")
 
 

@@ -48,7 +48,7 @@ STATUS_WORDS = {
     "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
     "edited": "Edited: not what was sealed, or failed at its gate; let through by the caller, nobody vouches for it.",
 }
-MOST_WARNINGS = 20
+MOST_WARNINGS = 20  # different ones; the JSON Lines hold all
 SHOWN_AS = {
     Status.REFUSED: "refused (hatched)", Status.CONVERGING: "converging (shaded)", Status.STALE: "gap (left blank)",
 }  # fmt: skip

@@ -7,6 +7,7 @@ import math
 from uavbatt.log_replay.outcome import Landing
 from uavbatt.report.page import duration
 
+# Nobody acts on the last seconds of many minutes: the shorter the time, the finer the words.
 SECONDS_BELOW_S, MINUTES_FROM_S, TENS_BELOW_S = 120.0, 300.0, 600.0
 
 

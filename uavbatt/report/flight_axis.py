@@ -15,7 +15,7 @@ from uavbatt.report.series import Array, FlightSeries, Stretch, outer, thinned
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SHORT_S = 240.0
+SHORT_S = 240.0  # a shorter log has its axis in seconds
 
 
 class TimeAxis:

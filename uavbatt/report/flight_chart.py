@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 TITLE, Y_LABEL = "Time left", "time left (min)"
 LEAST_APART = 0.06  # of the axis; closer events share a mark, so that words do not overlap
+# The scale reaches at most so many times the settled forecasts; a point without a bound is drawn far above it.
 MOST_HELD, UNBOUNDED_S = 2.5, 1e8
 SETTLED_PERCENT = 80.0  # percentile of the forecasts: the first ones may be far above the others
 ROOM_RIGHT = 38.0  # room for the minutes on the right

@@ -12,8 +12,9 @@ from uavbatt.notice import Kind, kind_of
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number, sentence
+from uavbatt.scoring.metrics import Z90
 
-SD_90 = 1.64
+# The load of the last minute, and how much flight the charge must promise, before low voltage is explained.
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
 VOLTAGE_SHARE = 0.4  # of the time by the charge alone: below it the voltage is explained
 OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that stand on the page in other words
@@ -40,7 +41,7 @@ def _charge_words(outcome: Outcome) -> str:
 
 def charge_interval(outcome: Outcome) -> tuple[float, float]:
     """Return the 90 % interval of the charge at the log's end, within 0 to 1."""
-    low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
+    low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-Z90, Z90))
     return low, high
 
 

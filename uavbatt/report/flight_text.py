@@ -16,6 +16,7 @@ from uavbatt.report.flight_limits import against_a_reserve, charge_interval, lim
 from uavbatt.report.page import duration
 from uavbatt.report.series import warnings_of
 
+# Times that differ by less need no words: of a span from the log's ends, of a row from the instant asked for.
 JUST_S, NEAR_S = 30.0, 10.0
 
 

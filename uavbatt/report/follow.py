@@ -20,7 +20,7 @@ from uavbatt.report.page import Html, bullets, element, figure, number, page, pa
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_TICKS = 12
+MOST_TICKS = 12  # more numbers of flights would touch each other
 ANSWERS = {
     "no_missing_effect": ("good", "Nothing has begun: every flight is as this battery's model has it."),
     "effect_found": ("bad", "Something has begun, and it has a name."),

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_FIGURES = 40  # packs with figures of their own; the table holds all
-MOST_BARS = 40
+MOST_BARS = 40  # bars of one figure that can be told apart; the table holds all packs
 MOST_UNLISTED = 4  # packs that a page shows without a list of contents
-ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12
-OHM, CHARGE = 0, 1
+ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12  # px on the left of the bars, and the letters that fit there
+OHM, CHARGE = 0, 1  # places in the pack's scales (`battery.remembered`)
 
 
 def packs_report(

@@ -35,11 +35,12 @@ VARIABLES = {
     PINK: "pink", AMBER: "amber", SKY: "sky", **{value: f"t{i}" for i, value in enumerate(RAMP)},
 }  # fmt: skip
 
+# Sizes in px of the page: two panels stand side by side, a wide one fills the page (68 rem of `page.css`).
 WIDTH, HEIGHT = 440.0, 280.0
 WIDE, WIDE_HEIGHT = 1100.0, 400.0
-TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144
+TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144  # of a picture file: a title row, its longest title
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
-LETTERS = 15.5
+LETTERS = 15.5  # font size [px]
 LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # widths of a letter in a legend, and of the sign before it
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",

@@ -12,7 +12,7 @@ from uavbatt.report.page import Html, figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_POINTS = 2000
+MOST_POINTS = 2000  # more than the map has px along its longer side
 
 
 def route_map(

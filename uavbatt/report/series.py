@@ -19,8 +19,8 @@ from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import Status
 
 Array = NDArray[np.float64]
-BUCKETS = 360
-MOST_STRETCHES = 24
+BUCKETS = 360  # of a curve: about one for every px of a panel
+MOST_STRETCHES = 24  # rows of a table that a person may read
 # A step this many times the usual one, and this long, is a gap: nothing is drawn across it.
 GAP_STEPS, GAP_S = 8.0, 5.0
 GAP = "no row in the log"

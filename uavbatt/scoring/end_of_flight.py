@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from uavbatt.battery.model import Array
 from uavbatt.records import NAN
 
-MEAN_WINDOW_S = 5.0
+MEAN_WINDOW_S = 5.0  # part of the definition: a gust or a short climb does not end a flight
 
 
 def end_of_flight(

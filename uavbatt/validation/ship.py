@@ -21,9 +21,12 @@ from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
 from uavbatt.fitting.generic import LOW_CELL_V
+from uavbatt.fitting.wander import USUAL_TIME_S
 from uavbatt.validation.gating.gate import Claim, Limits, judged_instants
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
 from uavbatt.validation.judging.corridor import Corridor
+
+UNMEASURED_RMSE_K = 2.0  # assumed of a model whose temperature nobody has measured
 
 
 def battery_file(
@@ -89,12 +92,8 @@ def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
 def _unmetered(
     dataset: DataSet, ambient_C: float
 ) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
-    repeated = list(dict.fromkeys(r.sample for r in dataset.at(ambient_C)))
-    runs = [
-        r
-        for r in dataset.at(ambient_C)
-        if r.sample in repeated and sum(q.sample == r.sample for q in dataset.at(ambient_C)) > 1
-    ]
+    home = dataset.at(ambient_C)
+    runs = [r for r in home if sum(q.sample == r.sample for q in home) > 1]
     fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
     error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
@@ -128,7 +127,10 @@ def _metered(
 
 
 def _held_out_discrepancy(held_out: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
-    """Return the discrepancy of the model on held-out occasions, which is correlated over minutes."""
+    """Return the discrepancy of the model on held-out occasions.
+
+    Readings a minute apart are too coarse to measure its autocorrelation, so that the usual time is taken.
+    """
     gap_V = (held_out.model_V - held_out.measured_V)[:, :, judged_instants(held_out, limits, dataset.cutoff_V)]
     with np.errstate(invalid="ignore"):
         gap_K = (
@@ -137,8 +139,8 @@ def _held_out_discrepancy(held_out: HeldOut, dataset: DataSet, limits: Limits) -
     return Discrepancy(
         voltage_bias_V=rounded(float(np.nanmean(gap_V))),
         voltage_rmse_V=rounded(float(np.sqrt(np.nanmean(gap_V**2)))),
-        voltage_autocorrelation_s=120.0,
-        temperature_rmse_K=rounded(float(np.sqrt(np.nanmean(gap_K**2))) if gap_K is not None else 2.0),
+        voltage_autocorrelation_s=USUAL_TIME_S,
+        temperature_rmse_K=rounded(float(np.sqrt(np.nanmean(gap_K**2))) if gap_K is not None else UNMEASURED_RMSE_K),
         held_out=True,
         source=f"{held_out.measured_V.shape[0]} occasions at {held_out.ambient_C:g} °C, each left out in turn",
     )

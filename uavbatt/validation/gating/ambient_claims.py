@@ -23,7 +23,7 @@ from uavbatt.validation.judging.readings import Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
 NAME = "voltage bias at this temperature"
-SEVERAL_RUNS = 3
+SEVERAL_RUNS = 3  # as many as a corridor needs: fewer tell nothing of their dispersion
 
 
 def ambient_claims(readings: Readings, held_out: HeldOut, limits: Limits) -> list[Claim]:
@@ -33,7 +33,7 @@ def ambient_claims(readings: Readings, held_out: HeldOut, limits: Limits) -> lis
     for ambient_C in sorted({s.ambient_C for s in held_out.singles}):
         runs = [s for s in held_out.singles if s.ambient_C == ambient_C]
         if len(runs) >= SEVERAL_RUNS:
-            claims.append(_several_runs(dataset, runs, limits))
+            claims.append(_without_verdict(dataset, runs, limits))
         else:
             claims += [_single(single, readings, held_out, limits) for single in runs]
     return claims
@@ -43,12 +43,12 @@ def _single(single: HeldOutRun, readings: Readings, held_out: HeldOut, limits: L
     """Return the claim of one run: together with its near repeats if it has some, else alone."""
     dataset, group = readings.dataset, readings.near_repeats_at(single.ambient_C)
     if group is None or not np.array_equal(group.time_s, single.time_s):
-        return _one_run(dataset, single, limits)
+        return _without_verdict(dataset, [single], limits)
     return _near_repeats(dataset, held_out, single, group, limits, bool(readings.broken))
 
 
-def _several_runs(dataset: DataSet, runs: list[HeldOutRun], limits: Limits) -> Claim:
-    """Return the claim of repeats at a temperature that is not gated: their mean bias, without a verdict."""
+def _without_verdict(dataset: DataSet, runs: list[HeldOutRun], limits: Limits) -> Claim:
+    """Return the claim of one run, or of repeats at a temperature that is not gated: their mean bias, no verdict."""
     time_s = runs[0].time_s
     differences = np.array([np.interp(time_s, s.time_s, s.model_V - s.measured_V) for s in runs])
     mean_V = np.mean([np.interp(time_s, s.time_s, s.measured_V) for s in runs], axis=0)
@@ -56,22 +56,13 @@ def _several_runs(dataset: DataSet, runs: list[HeldOutRun], limits: Limits) -> C
     bias, unknown = differences.mean(axis=0)[at], np.full(at.size, math.nan)
     largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
     rmse = float(np.sqrt(np.mean(differences[:, at] ** 2))) if bias.size else math.nan
-    reason = (
-        f"{len(runs)} runs; of the repeated temperatures one is gated, and this is another (largest mean difference "
-        f"{largest:+.3f} V, RMSE {rmse:.3f} V)"
-    )
+    if len(runs) == 1:
+        why, name = "one run: nothing tells its dispersion", "largest difference"
+    else:
+        why = f"{len(runs)} runs; of the repeated temperatures one is gated, and this is another"
+        name = "largest mean difference"
+    reason = f"{why} ({name} {largest:+.3f} V, RMSE {rmse:.3f} V)"
     return Claim(NAME, runs[0].ambient_C, "not enough data", reason, False, time_s[at], bias, unknown, unknown,
-                 limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
-
-
-def _one_run(dataset: DataSet, single: HeldOutRun, limits: Limits) -> Claim:
-    at = before_limiter(single.measured_V, limits, dataset.cutoff_V)
-    bias = (single.model_V - single.measured_V)[at]
-    unknown = np.full(bias.size, math.nan)
-    largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
-    rmse = float(np.sqrt(np.mean(bias**2))) if bias.size else math.nan
-    reason = f"one run: nothing tells its dispersion (largest difference {largest:+.3f} V, RMSE {rmse:.3f} V)"
-    return Claim(NAME, single.ambient_C, "not enough data", reason, False, single.time_s[at], bias, unknown, unknown,
                  limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
 
 

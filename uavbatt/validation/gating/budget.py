@@ -30,14 +30,14 @@ from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
 from uavbatt.validation.gating.heldout import HeldOut
 
-LEVEL = 0.05
+LEVEL = 0.05  # of each of the two one-sided tests, as usual for equivalence
 ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
 # Assumed if a data set states nothing: the specification of a battery tester (a limit, so rectangular), a thermocouple,
 # readings by hand with a watch.
 ASSUMED_CALIBRATION = 0.001  # of the reading, ±
-ASSUMED_TEMPERATURE_C = 0.5
-ASSUMED_READING_S = 5.0
-HAND_READ_S = 30.0
+ASSUMED_TEMPERATURE_C = 0.5  # standard uncertainty; the limits of class 1 in IEC 60584 are ±0.5 °C (type T) or more
+ASSUMED_READING_S = 5.0  # ±, a glance from the watch to the meter
+HAND_READ_S = 30.0  # rows that are further apart were read by a person
 
 
 @dataclass(frozen=True, slots=True)

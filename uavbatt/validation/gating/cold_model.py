@@ -29,10 +29,11 @@ from uavbatt.fitting.most_probable import Residuals, most_probable
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
-STEP_S = 10.0
+STEP_S = 10.0  # of the simulation: a sixth of the time between two readings
 MISFIT_SD_V = 0.08  # usual misfit of such a model, which weighs readings against priors
-COLD_C = -20.0
-EVALUATIONS = 30
+COLD_C = -20.0  # where `steeper_cold` is ln of the additional factor on the resistance
+EVALUATIONS = 30  # at most, of each search
+# Number of starts, and their sd around the priors in units of the prior's sd: see `fit_cold_model`.
 FRESH, START_SPREAD, SEED = 10, 0.6, 5725
 KEPT = ("slow_diffusion", "temperature_resistance")
 HEAT = ("heat_capacity_JpKAh", "cooling_WpKAh")

@@ -248,6 +248,17 @@ def surface_claim(held_out: HeldOut, limits: Limits, instruments: Uncertainty) -
     return Claim(name, held_out.ambient_C, verdict, worst, False, b.at, bias, half, b.guard, limits.surface_K, "K", b)
 
 
+def equivalence_claims(held_out: HeldOut, limits: Limits, cutoff_V: float, instruments: Uncertainty) -> list[Claim]:
+    """List the claims of equivalence: the voltage, the times, and the surface temperature if it was measured."""
+    surface = surface_claim(held_out, limits, instruments)
+    return [
+        voltage_claim(held_out, limits, cutoff_V, instruments),
+        crossing_claim(held_out, limits, instruments),
+        knee_claim(held_out, limits, cutoff_V, instruments),
+        *([] if surface is None else [surface]),
+    ]
+
+
 def overall(claims: Sequence[Claim]) -> Verdict:
     """Return the verdict that decides: that of the worst claim that gates."""
     verdicts = [c.verdict for c in claims if c.gates]

@@ -26,7 +26,7 @@ from uavbatt.validation.gating.heldout import Curve, HeldOut, HeldOutRun, other_
 from uavbatt.validation.judging import fast_records
 from uavbatt.validation.judging.readings import Readings
 
-READING_SD_V, TIMING_SD_S = 0.02, 6.0
+READING_SD_V, TIMING_SD_S = 0.02, 6.0  # a voltmeter read by hand, at a time taken from a watch
 FLOOR_WIDTH_V = 0.02  # a cell
 NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", "ln_w", "f", "e0")
 

@@ -15,7 +15,7 @@ from scipy import stats
 from uavbatt.battery.model import Array
 from uavbatt.validation.gating.cold_model import OneTimeTests
 
-SIGNIFICANT = 0.05
+SIGNIFICANT = 0.05  # over all questions together (Holm)
 TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold resistance",
          (True, False): "self-heating", (True, True): "self-heating, steeper cold resistance"}  # fmt: skip
 

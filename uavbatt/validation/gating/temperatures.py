@@ -28,9 +28,9 @@ from uavbatt.validation.gating.temperature_gains import TERMS, Gain, VariantOutc
 from uavbatt.validation.judging.readings import Readings
 from uavbatt.validation.judging.series import COLD_C, unflagged_voltage
 
-LEAST_TESTS = 8
-FOLDS = 4
-RISE_S = (60.0, 180.0)
+LEAST_TESTS = 8  # temperatures: two for each of the four folds
+FOLDS = 4  # every fourth temperature is left out: its neighbours stay, so that nothing is extrapolated far
+RISE_S = (60.0, 180.0)  # within the first minute a cold pack falls, by the third its own heat raises the voltage
 START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model
 
 
@@ -77,16 +77,10 @@ def close_loop(
     tests, left_out = one_time_tests(readings)
     if tests is None:
         return None
-    declared, instruments = limits.for_cells(dataset.cells_series), dataset.uncertainty
+    declared = limits.for_cells(dataset.cells_series)
     effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
     held_out = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
-    surface = gate.surface_claim(held_out, declared, instruments)
-    claims = (
-        gate.voltage_claim(held_out, declared, dataset.cutoff_V, instruments),
-        gate.crossing_claim(held_out, declared, instruments),
-        gate.knee_claim(held_out, declared, dataset.cutoff_V, instruments),
-        *(() if surface is None else (surface,)),
-    )
+    claims = gate.equivalence_claims(held_out, declared, dataset.cutoff_V, dataset.uncertainty)
     groups = _groups(tests)
     outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
     gains = gains_of(outcomes, groups)
@@ -100,7 +94,7 @@ def close_loop(
         ),
         groups=groups,
         isothermal=held_out,
-        isothermal_claims=claims,
+        isothermal_claims=tuple(claims),
         isothermal_rmse_V=np.array([by_ambient.get(float(t), np.nan) for t in tests.ambient_C]),
         measured_rise_V=rise,
         outcomes=outcomes,

@@ -23,7 +23,7 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Cells, Summary, summarise
 from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
 
-LIMIT_FACTOR = 2.8
+LIMIT_FACTOR = 2.8  # 1.96·√2 as ISO 5725-6 rounds it
 Method = Literal["anova", "reml"]
 
 

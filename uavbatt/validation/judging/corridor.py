@@ -26,7 +26,7 @@ from uavbatt.validation.judging.crossing import Which, crossing_time
 from uavbatt.validation.judging.readings import VOLTAGE, Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
-LEAST_OCCASIONS = 3
+LEAST_OCCASIONS = 3  # two leave one degree of freedom, whose 95 % interval for the SD spans a factor of 70
 NDBool = NDArray[np.bool_]
 Basis = Literal["repeats", "quasi-replicates", "one run"]
 
@@ -86,13 +86,12 @@ class SharedTable:
 class LeaveOneOut:
     """LeaveOneOut judges each occasion by the corridor of the others: `inside[occasion, sample]` at all instants.
 
-    `share_one` and `share_all` are the shares of readings and of whole curves that lie inside.
+    `share_all` is the share of whole curves that lie inside.
     """
 
     occasions: tuple[int, ...]
     samples: tuple[str, ...]
     inside: NDBool
-    share_one: float
     share_all: float
 
 
@@ -277,4 +276,4 @@ def leave_one_out(levels: Levels) -> LeaveOneOut | None:
         gap = np.abs(table[i] - table[0, 0] - rest.mean(axis=0))
         inside[i] = gap <= 2 * rest.std(axis=0, ddof=1) + 1e-9
     every: NDBool = np.asarray(inside.all(axis=2))
-    return LeaveOneOut(shared.occasions, shared.samples, every, float(inside.mean()), float(every.mean()))
+    return LeaveOneOut(shared.occasions, shared.samples, every, float(every.mean()))

@@ -20,7 +20,7 @@ from uavbatt.dataset import DataSet, Run
 
 WINDOW_S = 20.0
 MINUTE_S = 60.0
-LINE_ROWS = 4
+LINE_ROWS = 4  # a line through three rows leaves one degree of freedom to their noise
 # Below this share of the record's upper current a row is at rest.
 REST_SHARE = 0.2
 

@@ -22,7 +22,7 @@ from uavbatt.validation.judging.outlying import inconsistent_samples, likely_mis
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
 from uavbatt.validation.study import paper
 
-HELD_WELL = 0.9
+HELD_WELL = 0.9  # share of whole curves: a corridor that holds so many needs no remark
 
 
 def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:

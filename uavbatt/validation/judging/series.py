@@ -19,8 +19,8 @@ from uavbatt.validation.judging.crossing import crossing_time
 
 KNEE_CELL_V = np.linspace(0.2, 0.9, 8) / 3  # above the cut-off, a cell; 9.5 to 10.2 V on the study's pack
 COLD_C = -10.0  # below, cold resistance and self-heating bend the law by themselves
-BREAK_SCORE = 5.0
-MIN_CURVES = 5
+BREAK_SCORE = 5.0  # robust sds: one in a million by chance, for normal scatter
+MIN_CURVES = 5  # three degrees of freedom beside the two of the line
 
 
 @dataclass(frozen=True, slots=True)

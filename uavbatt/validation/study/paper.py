@@ -21,7 +21,7 @@ from uavbatt.validation.iso5725.cells import Array
 from uavbatt.validation.study import paper_equations as eq
 
 STUDY = "lpab-3s"
-LATTICE_C = 0.1
+LATTICE_C = 0.1  # step of the study's thermometer
 
 
 @dataclass(frozen=True, slots=True)
