@@ -53,6 +53,13 @@ def test_growth_is_told_and_noise_is_not() -> None:
     assert change(few, few.resistance) is None
 
 
+def test_a_growth_that_is_certain_stands_before_a_larger_one_that_may_be_chance() -> None:
+    unsure = [replace(row, resistance_scale_sd=2.0) for row in rows("swift", 0.6)]
+    page = fleet_report(gathered([*unsure, *rows("heron", 0.4)]), "x (fitted)")
+    table = page[page.index("<tbody") :]
+    assert table.index("heron") < table.index("swift")
+
+
 def test_dates_order_the_flights_and_their_absence_does_not_matter() -> None:
     shuffled = rows("heron", 0.4)
     random.Random(2).shuffle(shuffled)

@@ -155,6 +155,12 @@ def test_between_lines_the_last_one_less_its_age() -> None:
     assert "120 s" not in score.at  # before the first line: not a miss, not a hit
 
 
+@pytest.mark.parametrize(("last_s", "error_s"), [(301.0, 0.0), (299.0, -240.0)])
+def test_a_line_is_in_force_for_a_minute(last_s: float, error_s: float) -> None:
+    score = score_flight("f", [0.0, last_s, 500.0], [600.0, END_S - last_s, 100.0], end_s=END_S)
+    assert score.at["240 s"].error_s == pytest.approx(error_s)
+
+
 def test_silence_counts_as_refused() -> None:
     score = score_flight("f", [0.0, 500.0], [600.0, 100.0], end_s=END_S)
     assert math.isnan(score.at["240 s"].forecast_s) and score.at["240 s"].error_s == -240.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from uavbatt import dataset
 from uavbatt.dataset import DataSet, Run
 from uavbatt.validation.gating.ambient_claims import ambient_claims
+from uavbatt.validation.gating.budget import ONE_SIDED
 from uavbatt.validation.gating.gate import Limits
 from uavbatt.validation.gating.heldout import HeldOut, HeldOutRun
 from uavbatt.validation.judging.readings import Readings, read_once
@@ -61,3 +63,32 @@ def test_a_run_alone_says_that_it_is_alone() -> None:
     readings = read_once(replace(tests, runs=tests.runs[2:]))
     (claim,) = ambient_claims(readings, held_out(readings), Limits())
     assert claim.reason.startswith("one run: nothing tells its dispersion")
+
+
+def near_repeats(*, home: tuple[int, ...]) -> Readings:
+    """Six runs of sample B a degree apart, three of A at 25 °C, and the runs `home` of B there, 0.1 V lower."""
+    tests = repeated(25.0)
+    scatter_V = (0.0, 0.01, -0.01, 0.0, -0.01, 0.01)
+    line = [replace(tests.runs[0], sample="B", run=1, ambient_C=float(t), voltage_V=VOLTS + scatter_V[t])
+            for t in range(6)]  # fmt: skip
+    own = [replace(tests.runs[0], sample="B", run=run, voltage_V=VOLTS - 0.1) for run in home]
+    return read_once(replace(tests, runs=(*tests.runs, *line, *own)))
+
+
+@pytest.mark.parametrize(("home", "offset_V"), [((1,), 0.11), ((1, 2, 3), 0.0)])
+def test_the_distance_of_a_series_from_the_repeats_widens_its_guard_band(
+    home: tuple[int, ...], offset_V: float
+) -> None:
+    """A sample that was itself repeated has no distance. Beside it stand the meter's 20 mV and its step of 10 mV."""
+    readings = near_repeats(home=home)
+    model = replace(held_out(readings), measured_V=np.array([[VOLTS + 0.01]]), model_V=np.array([[VOLTS]]))
+    claim = next(c for c in ambient_claims(readings, model, Limits()) if c.ambient_C == 3.0)
+    meters_V = np.sqrt(claim.guard**2 - (ONE_SIDED * offset_V) ** 2 / 3.0)
+    assert claim.reason.startswith("6 one-time runs") and np.isfinite(claim.half_width).all()
+    assert meters_V == pytest.approx(ONE_SIDED * math.hypot(0.02, 0.01 / math.sqrt(12.0)), rel=1e-6)
+
+
+def test_a_series_without_a_test_beside_the_repeats_has_no_interval() -> None:
+    readings = near_repeats(home=())
+    claim = next(c for c in ambient_claims(readings, held_out(readings), Limits()) if c.ambient_C == 3.0)
+    assert claim.verdict == "not enough data" and np.isnan(claim.half_width).all()
