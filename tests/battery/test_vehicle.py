@@ -92,6 +92,20 @@ def test_the_landing_is_not_flight() -> None:
     assert longer.time_s[-1] == pytest.approx(learned().traces[0].time_s[-1], abs=GRID_S)
 
 
+def test_the_last_descent_is_not_flight_and_a_slower_leg_is() -> None:
+    """A minute at two fifths of the usual power ends the trace before it; at four fifths it belongs to the flight."""
+    last = flight().samples[-1]
+
+    def length_s(share: float) -> float:
+        leg = tuple(Sample(last.time_s + t, 14.0, share * POWER_W / 14.0) for t in range(1, 61))
+        longer = trace(Flight("f", "csv", flight().samples + leg), battery_file.read_battery("lipo-generic"), OPTIONS)
+        assert longer is not None
+        return longer.time_s[-1] - learned().traces[0].time_s[-1]
+
+    assert length_s(0.4) == pytest.approx(0.0, abs=GRID_S)
+    assert length_s(0.8) == pytest.approx(60.0, abs=GRID_S)
+
+
 def test_the_ground_between_two_flights_of_a_log_is_not_flight() -> None:
     """Its minutes without power stood in the trace as load to come, and the time left jumped from 644 s to 21 s."""
     half = len(flight().samples) // 2

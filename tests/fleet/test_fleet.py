@@ -24,7 +24,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
-from uavbatt.fleet.fly import Job, fly_log
+from uavbatt.fleet.fly import Job, _reasons, fly_log
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.row import LOST, FlightRow, row_of
 from uavbatt.simulate.flight import SimulatedFlight, write_log
@@ -242,3 +242,29 @@ def test_whatever_happens_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert (row.status, row.reason) == ("bad", "ZeroDivisionError in uavbatt itself: division by zero")
     with pytest.raises(BadInput, match="a folder that can be written"):
         journal.Journal(path / JOURNAL, {}, row_of)
+
+
+@pytest.mark.parametrize(
+    ("near", "beyond", "words"),
+    [
+        ({"end_soc": 0.05}, {"end_soc": 0.049}, "landed nearly empty: state of charge 0.05"),
+        ({"end_of_flight_s": 570.0}, {"end_of_flight_s": 569.0}, "flew on below the cut-off voltage"),
+        ({"refused_share": 0.2}, {"refused_share": 0.21}, "21% of the forecasts in the air refused"),
+        ({"mean_nis": 3.0}, {"mean_nis": 3.1}, "the battery file explains it badly (mean NIS 3.1)"),
+        ({"resistance_scale": 1.59}, {"resistance_scale": 1.61}, "resistance 1.61 times the battery file's"),
+        ({"certificate": "generic", "resistance_scale": 1.9}, {"resistance_scale": 1.9}, "resistance 1.90 times the"),
+        ({"error_120_s": 60.0}, {"error_120_s": 61.0}, "two minutes before the end the forecast was 61 s too long"),
+        ({"error_120_s": 61.0, "inside_120": True}, {"error_120_s": 61.0}, "two minutes before the end the forecast"),
+    ],
+)
+def test_a_flight_is_looked_at_from_one_bound_on_and_says_why(
+    near: dict[str, Any], beyond: dict[str, Any], words: str
+) -> None:
+    ordinary: dict[str, Any] = {
+        "file": "a.tlog", "certificate": "fitted", "end_soc": 0.3, "duration_s": 600.0, "end_of_flight_s": math.nan,
+        "refused_share": 0.0, "mean_nis": 1.0, "resistance_scale": 1.0, "resistance_scale_sd": 0.1,
+        "error_120_s": 0.0, "inside_120": False,
+    }  # fmt: skip
+    assert _reasons(FlightRow(**{**ordinary, **near}), ()) == []
+    (reason,) = _reasons(FlightRow(**{**ordinary, **beyond}), ())
+    assert reason.startswith(words)

@@ -2,7 +2,7 @@
 
 Readings are joined by straight lines. Below about -15 °C a pack recovers by its own heat: the voltage crosses a level,
 rises again and falls for good, so that the first and the last crossing differ by minutes (-17 °C: 10 V at 0.94 and
-3.10 min). Which one is meant is always said.
+3.10 min). The caller says which one it wants (`which`).
 """
 
 from __future__ import annotations
