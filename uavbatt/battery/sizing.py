@@ -120,8 +120,7 @@ def size_of_pack(
     cells, cells_from, cells_notices = _cells(options, facts, guess, voltages, resting(battery))
     if cells_notices:  # PX4 works out its critical voltage from its count of cells
         facts = replace(facts, critical_voltage_V=NAN)
-    why_not = why_no_capacity(battery, options, facts)
-    if why_not:
+    if why_not := why_no_capacity(battery, options, facts):
         raise CapacityNotStated(why_not)
     facts, notices = possible_facts(facts, cells, voltages)
     capacity_Ah, capacity_from = _capacity(battery, options, facts)
@@ -245,9 +244,8 @@ def possible_facts(facts: PackFacts, cells: int, voltages: FirstVoltages) -> tup
 
 def _capacity(battery: BatteryFile, options: PackOptions, facts: PackFacts) -> tuple[float, str]:
     """Return the capacity [Ah] and its source; `facts` holds the vehicle's statements that are believed."""
-    typed_Ah = battery.battery.capacity_Ah
-    by = _by(options.names.capacity)
-    return _first((options.capacity_Ah, by), (facts.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
+    stated, typed_Ah = (options.capacity_Ah, _by(options.names.capacity)), battery.battery.capacity_Ah
+    return _first(stated, (facts.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
 
 
 def _endings(

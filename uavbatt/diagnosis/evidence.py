@@ -33,15 +33,14 @@ from uavbatt.fitting.observed import ObservedRecord, Stack
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 # A shorter record does not leave the wander of the model behind it; with less charge drawn, no capacity shows.
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
-LEAST_RECORDS = 2  # one alone cannot tell an effect from a peculiarity of its day
-LEAST_CHANGE = 0.04  # least relative spread of the current
+LEAST_RECORDS, LEAST_CHANGE = 2, 0.04  # one record may have a peculiarity of its day; relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008  # of the charge of a full pack: chargers end at different currents
+ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
 IDLE_NOISE_A = 0.15  # an offset is seen at rest to within that
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
 FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)  # the bounds of `current_delay`, in steps of half a row of 1 s
-
 
 Rows = NDArray[np.intp]
 
@@ -115,7 +114,7 @@ def check_records(records: list[ObservedRecord]) -> None:
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q in sorted(sizes))
         raise NotEnoughData(f"the records are of different packs ({listed}): expected flights of one")
-    if all(np.nanmax(np.abs(r.current_A)) < 0.02 * r.capacity_Ah for r in records):
+    if all(np.nanmax(np.abs(r.current_A)) < ZERO_C_RATE * r.capacity_Ah for r in records):
         raise NotEnoughData("the current is zero throughout: expected a working current sensor")
     useful = [r for r in records if _long_enough(r)]
     if len(useful) < LEAST_RECORDS and (not useful or not np.isfinite(useful[0].ambient_C)):
@@ -223,7 +222,7 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     if spacing_s > FAST_ROW_S:
         return 0.0
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    return float(1.4826 * bent_V / np.sqrt(6.0 * observed.BIN_S / spacing_s))
+    return float(observed.MAD_TO_SD * bent_V / np.sqrt(6.0 * observed.BIN_S / spacing_s))
 
 
 def _voltage_whitener(

@@ -25,6 +25,8 @@ BIN_S = 5.0
 # The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, short enough for one load
+MAD_TO_SD = 1.4826  # sd of a normal distribution over its median absolute deviation
+ROOM_C = 22.0  # ambient of a record without any temperature
 LEAST_ROWS, LEAST_BINS = 10, 3  # fewer bins have no curvature, and fewer rows no scatter
 
 
@@ -94,7 +96,7 @@ def held_load(time_s: Array, current_A: Array) -> Array:
     kept, the fitted resistance would be too small (errors in variables) and the OCV would compensate. Rows within
     HELD_WINDOW_S that differ by less than 5 robust sd of the scatter are averaged; steps of the load stay.
     """
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(current_A)))) / np.sqrt(2.0)
+    scatter = MAD_TO_SD * float(np.median(np.abs(np.diff(current_A)))) / np.sqrt(2.0)
     firsts = np.searchsorted(time_s, time_s - HELD_WINDOW_S)
     behind = np.searchsorted(time_s, time_s + HELD_WINDOW_S, side="right")
     held_A = np.empty_like(current_A)
@@ -232,7 +234,7 @@ def _start_temp(record: ObservedRecord) -> float:
     readings = record.temp_C[np.isfinite(record.temp_C)][:8]
     if readings.size:
         return float(np.median(readings))
-    return record.ambient_C if np.isfinite(record.ambient_C) else 22.0
+    return record.ambient_C if np.isfinite(record.ambient_C) else ROOM_C
 
 
 def _split(record: ObservedRecord) -> dict[str, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import Installation, true_power
-from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
+from uavbatt.battery.powers import FAST_MS, PRIOR_SD, TERMS, UNKNOWN, Powers, terms
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Flight, Sample
 
@@ -165,8 +165,8 @@ def _unusual(rows_by_flight: list[PowerRows], residuals: list[Array]) -> Array:
     """Return the error of each flight's mean power away from hover, where it flies fast or climbs."""
     means = []
     for rows, misfit in zip(rows_by_flight, residuals, strict=True):
-        far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)
-        if rows.length_s[far].sum() > 30.0:
+        far = (rows.airspeed_ms > FAST_MS) | (rows.climb_ms > 1.0)
+        if rows.length_s[far].sum() > NOISE_MEMORY_S * 3.0:  # three independent blocks
             means.append(float(np.average(misfit[far], weights=rows.length_s[far])))
     return np.array(means)
 

@@ -31,6 +31,7 @@ from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05  # a landing with less has worn the cells
+LANDING_S = 30.0  # a descent from 50 m, begun at the cut-off
 OPTIMISTIC_S = 60.0  # half of the two minutes that were left
 RESISTANCE_GROWN = 1.4
 MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
@@ -192,7 +193,7 @@ def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
     reasons = []
     if row.end_soc < EMPTY_SOC:
         reasons.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
-    elif math.isfinite(row.end_of_flight_s) and row.duration_s - row.end_of_flight_s > 30.0:
+    elif math.isfinite(row.end_of_flight_s) and row.duration_s - row.end_of_flight_s > LANDING_S:
         reasons.append("flew on below the cut-off voltage")
     if row.refused_share > MUCH_REFUSED:
         reasons.append(f"{row.refused_share:.0%} of the forecasts in the air refused")

@@ -217,8 +217,8 @@ def _by_occasion(runs: list[Curve], values: Array, usable: NDArray[np.bool_]) ->
 
 def _slope(runs: list[Curve], levels_V: Array) -> float:
     """Return the median fall of the records at the middle of `levels_V` [V/s], which turns volts into seconds."""
-    half = max(float(np.ptp(levels_V)) / 2.0, 0.02 * float(np.mean(levels_V)))
     middle = float(np.mean(levels_V))
+    half = max(float(np.ptp(levels_V)) / 2.0, 0.02 * middle)  # for one level ±2 %, some steps of any meter
     falls = []
     for c in runs:
         high, low = _crossings(c.time_s, c.measured_V, np.array([middle + half, middle - half]))

@@ -185,7 +185,7 @@ def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
     if not np.isfinite(run.current_A).all():
         return tuple(bool(t <= 0.0) for t in levels.time_s)
     phase = fast_records.phases(run.current_A)
-    rested = run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
+    rested = run.current_A[0] < fast_records.rest_limit_A(run.current_A)
     at = np.searchsorted(run.time_s, levels.time_s, side="right") - 1
     return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Run
 from uavbatt.validation.gating.heldout import Curve, HeldOut, HeldOutRun, other_runs, repeats, rest_at, smallest_step
@@ -62,7 +63,7 @@ class Regression:
 def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Array, cells: int) -> Array:
     """Compute V(t, T) [V] of the coefficients x by the equations of the module; times [s], temperatures [°C]."""
     p0, p1, p2, a, ln_tau, q1, q2, ln_t0, c1, c2, d, ln_w, f, e0 = x
-    theta, w, h = (ambient_C - 25.0) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
+    theta, w, h = (ambient_C - REFERENCE_TEMP_C) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
     t = np.maximum(time_s, 0.0)
     s = t / np.exp(ln_t0 + ln_knee + c1 * theta + c2 * theta**2)
     plateau = p0 + level_V + p1 * theta + p2 * theta**2 + a * np.exp(-t / math.exp(ln_tau)) - q1 * s - q2 * s**2
@@ -74,7 +75,7 @@ def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Ar
 def load_start_s(run: Run) -> float:
     """Return when the load begins [s]: by the measured current, else just after the first reading."""
     phase = fast_records.phases(run.current_A)
-    rested = phase[-1] > 0 and run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
+    rested = phase[-1] > 0 and run.current_A[0] < fast_records.rest_limit_A(run.current_A)
     return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
 
 
@@ -93,12 +94,14 @@ def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTab
 
 def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
     """Return (start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
-    near = np.abs(rows.ambient_C - 25.0) <= np.min(np.abs(rows.ambient_C - 25.0)) + 0.25
+    distance_C = np.abs(rows.ambient_C - REFERENCE_TEMP_C)
+    near = distance_C <= np.min(distance_C) + 0.25  # chambers are set to half a degree
     load = near & (rows.time_s >= 0.0)
     first, last = float(np.max(rows.voltage_V[load])), float(np.min(rows.voltage_V[load]))
     end_s = float(np.max(rows.time_s[load]))
     rest = rows.voltage_V[rows.time_s < 0.0]
     e0 = float(np.mean(rest)) if rest.size else first
+    # Sizes of the study's 3S curves, and sds so wide that they only keep a coefficient finite that nothing shows.
     c = cells / 3.0
     start = [first, 0.0, 0.0, 0.2 * c, math.log(60.0), 0.5 * c, 0.2 * c, math.log(0.8 * end_s), 0.0, 0.0, 6.0 * c,
              math.log(0.05), last, e0]  # fmt: skip

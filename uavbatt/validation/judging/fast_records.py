@@ -21,8 +21,7 @@ from uavbatt.dataset import DataSet, Run
 WINDOW_S = 20.0
 MINUTE_S = 60.0
 LINE_ROWS = 4  # a line through three rows leaves one degree of freedom to their noise
-# Below this share of the record's upper current a row is at rest.
-REST_SHARE = 0.2
+REST_SHARE = 0.2  # a test discharges by some C, and electronics at rest draw a few per cent of that
 
 
 def is_fast(run: Run) -> bool:
@@ -30,11 +29,16 @@ def is_fast(run: Run) -> bool:
     return bool(np.median(np.diff(run.time_s)) < WINDOW_S / 2.0)
 
 
+def rest_limit_A(current_A: Array) -> float:
+    """Return the current [A] below which a row is at rest: REST_SHARE of the record's upper current (90 % point)."""
+    return REST_SHARE * float(np.quantile(current_A, 0.9))
+
+
 def phases(current_A: Array) -> NDArray[np.intp]:
     """Number the phase (rest, load, rest, ...) of each row from 0 by `current_A` [A]; all 0 if it was not measured."""
     if not np.isfinite(current_A).all() or np.max(current_A) <= 0.0:
         return np.zeros(current_A.size, dtype=np.intp)
-    loaded = current_A > REST_SHARE * np.quantile(current_A, 0.9)
+    loaded = current_A > rest_limit_A(current_A)
     return np.concatenate([[0], np.cumsum(loaded[1:] != loaded[:-1])])
 
 

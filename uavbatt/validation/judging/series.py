@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.dataset import DataSet, Flag, Run
+from uavbatt.fitting.observed import MAD_TO_SD
 from uavbatt.validation.iso5725.cells import Array
 from uavbatt.validation.judging.crossing import crossing_time
 
@@ -85,7 +86,7 @@ def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | Non
     """Find the breaks in a series of one-time tests (`single_series`) at -10 °C and above.
 
     Returns None with fewer than eight temperatures.
-    Score: knee-time difference of neighbours less the median slope, over the robust scatter (1.483·MAD).
+    Score: knee-time difference of neighbours less the median slope, over the robust scatter (MAD_TO_SD times the MAD).
     """
     runs = [r for r in series if r.ambient_C >= COLD_C]
     knee = np.array([knee_time(r, dataset) for r in runs])
@@ -95,7 +96,7 @@ def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | Non
         return None
     dT, dk = np.diff(T), np.diff(knee)
     excess = dk - float(np.median(dk / dT)) * dT
-    scatter = 1.4826 * float(np.median(np.abs(excess - np.median(excess))))
+    scatter = MAD_TO_SD * float(np.median(np.abs(excess - np.median(excess))))
     if scatter == 0:
         return ()
     score = excess / scatter
