@@ -50,7 +50,7 @@ from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
 from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.telemetry.cleaning import Cleaner
+from uavbatt.telemetry.cleaning.cleaner import Cleaner
 
 __all__ = ["PLAIN", "Engine", "Estimator", "EstimatorMemory"]
 

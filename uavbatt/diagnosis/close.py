@@ -33,7 +33,7 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
-from uavbatt.telemetry.drawn import loaded_A
+from uavbatt.telemetry.quality.drawn import loaded_A
 
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 

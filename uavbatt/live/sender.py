@@ -22,9 +22,9 @@ from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, Outgoing
 from uavbatt.navigation import Navigation
-from uavbatt.telemetry.following import VehicleChoice
-from uavbatt.telemetry.live import LiveReader
-from uavbatt.telemetry.vehicle import Vehicle
+from uavbatt.telemetry.link.reader import LiveReader
+from uavbatt.telemetry.link.vehicle import Vehicle
+from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 
 ANNOUNCE_PERIOD_S = 0.25
 MOST_SAID = 8

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.model import Array
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of
-from uavbatt.telemetry.drawn import loaded_A
+from uavbatt.telemetry.quality.drawn import loaded_A
 
 DOUBTED = {Kind.DEAD_CURRENT, Kind.STUCK_CURRENT}
 LOADED_TAU_S = 10.0

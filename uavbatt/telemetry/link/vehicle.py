@@ -22,9 +22,11 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.lateness import Lateness
-from uavbatt.telemetry.pack_voltage import PackVoltages, is_in_sys_status
+from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S, LogBuilder
+from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
+from uavbatt.telemetry.link.lateness import Lateness
+from uavbatt.telemetry.link.senders import MOST_SENDERS, Senders
+from uavbatt.telemetry.link.sequence_numbers import SequenceNumbers
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
@@ -34,14 +36,9 @@ from uavbatt.telemetry.route.messages import (
     NavigationListener,
 )
 from uavbatt.telemetry.route.settings import NAMES
-from uavbatt.telemetry.senders import MOST_SENDERS, Senders
-from uavbatt.telemetry.streams import SequenceNumbers
 
 FALLBACK_AFTER_S = 5.0
-ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
-LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 CONFIRMED_WITHIN_S = 60.0
-BEATING_S = 3.0
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
@@ -135,7 +132,7 @@ class Vehicle:
         return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
-        """Return the sender of a frame from an address: two may share one address (`streams`)."""
+        """Return the sender of a frame from an address: two may share one address (`sequence_numbers`)."""
         if address not in self._counts and len(self._counts) >= MOST_SENDERS:
             del self._counts[next(iter(self._counts))]  # the first that was heard
         return self._counts.setdefault(address, SequenceNumbers(address)).stream(framing.sequence(frame), stamp_s)

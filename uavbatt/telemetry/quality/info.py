@@ -11,9 +11,9 @@ from statistics import median
 
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
-from uavbatt.telemetry.drawn import drawn
-from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
-from uavbatt.telemetry.trust import LogFigures, verdict
+from uavbatt.telemetry.cleaning.plausibility import sag_correlation, temperature_verdict
+from uavbatt.telemetry.quality.drawn import drawn
+from uavbatt.telemetry.quality.trust import LogFigures, verdict
 
 _OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
 

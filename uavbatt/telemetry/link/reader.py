@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.telemetry.following import VehicleChoice
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
-from uavbatt.telemetry.lateness import BOOT_TIME_AT, boot_time_s
+from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
+from uavbatt.telemetry.link.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
+from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
-from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 
 __all__ = ["LiveReader", "LiveRow", "TakenFrame", "checksum"]
 
