@@ -44,9 +44,7 @@ class InAir(NamedTuple):
 
 
 def in_air(run: Sequence[ReplayedRow]) -> InAir:
-    """Return which rows of a replay are in the air; none of them if the log has no current.
-    =>
-    LANDED_AFTER_S"""
+    """Return which rows of a replay are in the air; none of them if the log has no current."""
     amps = np.array([s.estimate.current_A for s in run])
     least_A = loaded_A(amps)
     loaded = np.nan_to_num(amps) > least_A

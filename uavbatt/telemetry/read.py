@@ -188,11 +188,11 @@ def _kind_and_rows(
 def _reader(kind: str, system: int | None, has_route: bool) -> Callable[[str, Content], LogBuilder]:
     """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
-        from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
+        from uavbatt.telemetry.formats.dataflash_binary import read_dataflash
 
-        return lambda _, data: read_binary(data)
+        return lambda _, data: read_dataflash(data)
     if kind == "tlog":
-        from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
+        from uavbatt.telemetry.formats.tlog import read_tlog
 
         return lambda source, data: read_tlog(source, data, system, has_route)
     if kind == "dataflash-text":

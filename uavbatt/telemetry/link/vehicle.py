@@ -133,9 +133,11 @@ class Vehicle:
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
         """Return the sender of a frame from an address: two may share one address (`sequence_numbers`)."""
-        if address not in self._counts and len(self._counts) >= MOST_SENDERS:
-            del self._counts[next(iter(self._counts))]  # the first that was heard
-        return self._counts.setdefault(address, SequenceNumbers(address)).stream(framing.sequence(frame), stamp_s)
+        if address not in self._counts:
+            if len(self._counts) >= MOST_SENDERS:
+                del self._counts[next(iter(self._counts))]  # the first that was heard
+            self._counts[address] = SequenceNumbers(address)
+        return self._counts[address].stream(framing.sequence(frame), stamp_s)
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
@@ -207,9 +209,13 @@ class Vehicle:
         if battery is None:  # from a program that writes a mission, with the autopilot's own ids
             return []
         if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, self._with_all_cells(battery, time_s))
-            self._alone_s = 0.0 if row is not None and row.instance == 0 else self._alone_s
-            return [] if row is None else self._confirmed(row)
+            is_in_other = is_in_sys_status(battery.id, self.is_px4 is True, self.battery_ids)
+            row = self._row(time_s, self.voltages.of(battery, time_s, self._log.armed, is_in_other))
+            if row is None:
+                return []
+            if row.instance == 0:
+                self._alone_s = 0.0
+            return self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
 
     def _take_of_route(self, message_id: int, message: Any, frame: bytes, time_s: float) -> None:
@@ -268,10 +274,6 @@ class Vehicle:
             return []
         released, self._held = self._held, []
         return released
-
-    def _with_all_cells(self, battery: fields.BatteryFields, time_s: float) -> fields.BatteryFields:
-        is_of_sys_status = is_in_sys_status(battery.id, self.is_px4 is True, self.battery_ids)
-        return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
         """Return the row, cleaned by the rules of the log readers; None if they drop it."""
