@@ -33,7 +33,7 @@ MOST_SAID = 8
 class Sender:
     """Sender sends heartbeats, feeds and requests when they are due."""
 
-    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
+    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None) -> None:
         self._config, self._link, self._stations = config, link, stations
         self._named = NamedFeed(config.feed.named_rate_Hz)
         self._component = BatteryFeed(config.feed.battery_rate_Hz)

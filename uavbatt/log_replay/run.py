@@ -52,7 +52,7 @@ def estimator_for(
     battery: BatteryFile,
     options: PackOptions,
     settings: ForecastSettings,
-    remembered: PackHealth | None = None,
+    remembered: PackHealth | None,
 ) -> Estimator:
     """Make the estimator of a flight, after a check of the stated pack against the first rows.
 

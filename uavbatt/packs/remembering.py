@@ -99,7 +99,7 @@ def check_cells(
     battery: BatteryFile,
     options: PackOptions,
     flight: Flight,
-    before: PackHealth | None = None,
+    before: PackHealth | None,
 ) -> None:
     """Raise AnotherSize if the flight cannot be saved under a name whose pack has another number of cells.
 

@@ -81,7 +81,6 @@ class LiveReader:
         self._resumed: Mapping[str, float] = {}
         self.planned: PlannedFlight | None = None
         self.following = VehicleChoice()
-        self.rejected = 0
         self._now_s = -math.inf
 
     @property
@@ -157,7 +156,6 @@ class LiveReader:
         if header.message_id in WANTED:
             message = self._decode(frame)
             if not message:
-                self.rejected += 1
                 return NOTHING
             if header.message_id in _TOLD_BY:
                 self._hear(header, message)
