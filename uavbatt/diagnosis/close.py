@@ -26,7 +26,8 @@ from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.problem import Refit
 from uavbatt.diagnosis.worth import left_out_values
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.engine import PLAIN, Engine
+from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
@@ -99,10 +98,7 @@ class LiveReader:
         """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
         vehicle = self.followed
         known = vehicle.route.now if vehicle is not None else NOWHERE
-        if self.planned is None:
-            return known
-        home = known.home or self.planned.home
-        return replace(known, mission=self.planned.mission, home=home, transferring=False)
+        return known.with_plan(self.planned.mission, self.planned.home) if self.planned is not None else known
 
     @property
     def parameters(self) -> Mapping[str, float]:

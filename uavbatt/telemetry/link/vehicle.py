@@ -24,10 +24,11 @@ from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S, LogBuilder
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
+from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.lateness import Lateness
 from uavbatt.telemetry.link.senders import MOST_SENDERS, Senders
 from uavbatt.telemetry.link.sequence_numbers import SequenceNumbers
-from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
+from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
     MISSION_ACK,
@@ -149,13 +150,9 @@ class Vehicle:
         return said[-1][1] if said else PackFacts()
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Return serial and cycles of a battery's pack: from its own messages, else from the parameter with its
-        serial."""
+        """Return serial and cycles of a battery's pack: from its own messages, else the serial from the parameter."""
         said = self.packs.get(instance, fields.PackIdentity(instance))
-        serial = self.parameters.known.get(ardupilot_prefix(instance) + "SERIAL_NUM", math.nan)
-        if said.serial or not serial > 0.0:
-            return said
-        return replace(said, serial=fields.known_serial(f"{serial:.0f}"))
+        return replace(said, serial=said.serial or stated_serial(self.parameters.known, instance))
 
     def resume(self, earlier: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
@@ -187,15 +184,7 @@ class Vehicle:
     ) -> list[LiveRow]:
         """Return the rows that a message of the autopilot completes; `battery` is the battery reading in it, if any."""
         if message_id == fields.HEARTBEAT:
-            says_armed = fields.is_armed(message)
-            self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
-            self._said_armed, self._beat_s = says_armed, time_s
-            self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
-            self.route.take(time_s, message_id, message)
-            self.words[b"heartbeat"] = frame
-            unread, self._unread = self._unread, []
-            for said, of_frame in unread:
-                self._hear(said, of_frame)
+            self._beat(message, frame, time_s)
             return self._released(time_s)
         if message_id == fields.PARAM_VALUE:
             self._hear(message, frame)
@@ -217,6 +206,18 @@ class Vehicle:
                 self._alone_s = 0.0
             return self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
+
+    def _beat(self, heartbeat: Any, frame: bytes, time_s: float) -> None:
+        """Take the armed bit and the make of the autopilot, and then the integers that waited for its make."""
+        says_armed = fields.is_armed(heartbeat)
+        self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
+        self._said_armed, self._beat_s = says_armed, time_s
+        self.is_px4 = heartbeat.autopilot == fields.AUTOPILOT_PX4
+        self.route.take(time_s, fields.HEARTBEAT, heartbeat)
+        self.words[b"heartbeat"] = frame
+        unread, self._unread = self._unread, []
+        for said, of_frame in unread:
+            self._hear(said, of_frame)
 
     def _take_of_route(self, message_id: int, message: Any, frame: bytes, time_s: float) -> None:
         if message_id in OF_OTHERS or message_id == MISSION_ACK:
