@@ -19,7 +19,7 @@ from uavbatt.limits import (
     ending_doubt,
 )
 from uavbatt.records import Flight, PackFacts
-from uavbatt.telemetry.drawn import DrawnCharge
+from uavbatt.telemetry.quality.drawn import DrawnCharge
 
 _YES, _CARE, _NO = 0, 1, 2
 _WORDS = {_YES: "yes", _CARE: "with care", _NO: "no"}
