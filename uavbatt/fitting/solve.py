@@ -44,9 +44,9 @@ class OwnPrior:
 
 # Packs of flights are alike, or in service: a season takes 10 to 25 % of the capacity and adds resistance.
 # `fitting.battery` keeps what the flights make more probable. They do not tell the mean capacity of their packs: with a
-# mean of 1 the 5 % point was up to 59 s too long for packs of the type of a worn fleet, with exp(-0.03) 5 s.
+# mean of 1 the 5 % point was up to 59 s too long for packs of the type of a worn fleet, with exp(-0.02) 5 s.
 ALIKE = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.04, log_capacity=0.02)
-IN_SERVICE = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.10, log_capacity=0.06, mean_log_capacity=-0.03)
+IN_SERVICE = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.10, log_capacity=0.06, mean_log_capacity=-0.02)
 SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside flights: not the packs that fly
 
 
