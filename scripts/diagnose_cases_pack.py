@@ -13,11 +13,11 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, pack_from
-from uavbatt.estimator import Engine
+from uavbatt.engine import Engine
 from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.plausibility import MAX_CELL_C
+from uavbatt.telemetry.cleaning.plausibility import MAX_CELL_C
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from diagnose_cases_pack import flights, ready
 
 from uavbatt.diagnosis.diagnosis import diagnose
-from uavbatt.estimator import PLAIN
+from uavbatt.engine import PLAIN
 from uavbatt.log_replay.run import engine_for
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"

@@ -148,14 +148,14 @@ def m100() -> Iterator[Part]:
     flights = {name: [from_flight(f, M100_CELLS, M100_AH) for f in flown] for name, flown in m100_flights().items()}
     for aircraft, mine in flights.items():
         others = [r for name, flown in flights.items() if name != aircraft for r in flown]
-        own = [solve.FLEET] * len(others)
+        own = [solve.ALIKE] * len(others)
         yield Part(f"M100: {aircraft} kept back", others, own, prior.BASE_EFFECTS, mine)
 
 
 def turnigy() -> Iterator[Part]:
     """Yield one part: two pieces of the drive cycle to fit, the two others kept back."""
     one, two, three, four = turnigy_records()
-    own = [solve.FLEET] * 2
+    own = [solve.ALIKE] * 2
     yield Part("Turnigy: pieces 2 and 4 kept back", [one, three], own, prior.BASE_EFFECTS, [two, four])
 
 

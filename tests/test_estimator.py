@@ -19,8 +19,9 @@ import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import UsageError
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay.outcome import outcome
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings

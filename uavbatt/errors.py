@@ -51,7 +51,7 @@ class CapacityNotStated(UsageError):
     """CapacityNotStated says that neither caller nor vehicle nor battery file states the capacity of the pack."""
 
 
-def check_path(argument: str, value: object, expected: str = "the path of a file") -> None:
+def check_path(argument: str, value: object, expected: str) -> None:
     """Raise UsageError, with the argument's name, for a value that names no file."""
     if not isinstance(value, str | PathLike):
         raise UsageError(f"{argument}={value!r}: expected {expected}")

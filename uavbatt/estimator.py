@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -35,10 +34,9 @@ from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
 from uavbatt.estimation.filter import NO_VOLTAGE, BeliefSummary, FilterResult, SocFilter, estimate_of, unknown
-from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
-from uavbatt.estimation.recursion import Window, filter_window
+from uavbatt.estimation.recursion import Window, flight_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import Names
 from uavbatt.navigation import NOWHERE, Navigation
@@ -50,9 +48,7 @@ from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
 from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.telemetry.cleaning import Cleaner
-
-__all__ = ["PLAIN", "Engine", "Estimator", "EstimatorMemory"]
+from uavbatt.telemetry.cleaning.cleaner import Cleaner
 
 LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
@@ -105,7 +101,7 @@ class Estimator:
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
         self._cleaner, self._engine = Cleaner(stated_power_W=power_W), engine
         self._known = before_any_row(battery, self.options, stated_power(load))
-        self._in_flight: Window = partial(filter_window, condition=filterpy_condition())
+        self._in_flight = flight_window()
 
     @classmethod
     def from_battery(

@@ -6,6 +6,7 @@ replaces the target when the block ends. After an exception in the block the old
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import json
 import math
@@ -70,8 +71,9 @@ def no_file(path: Path) -> str:
 
 
 def read_bounded(path: Path, most_bytes: int, expected: str) -> bytes:
-    """Read a whole file. Raises BadInput, with what was `expected`, for a file that cannot be read.
+    """Read a whole text file. Raises BadInput, with what was `expected`, for a file that cannot be read.
 
+    The mark of byte order, which editors of Windows put before the text, is left out.
     most_bytes : a larger file is refused. A device or a pipe is refused before it is opened: it may have no end, or
     nobody who writes to it.
     """
@@ -85,7 +87,7 @@ def read_bounded(path: Path, most_bytes: int, expected: str) -> bytes:
         raise BadInput(path, "", f"{expected}, cannot be read: {reason}") from None
     if len(content) > most_bytes:
         raise BadInput(path, "", f"{expected} of at most {most_bytes // 1_000_000} MB")
-    return content
+    return content.removeprefix(codecs.BOM_UTF8)
 
 
 def plain(value: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple, SupportsFloat, SupportsIndex
 
@@ -31,6 +32,8 @@ PART_CHARGED, UNUSUALLY_CHARGED = 0.02, 0.005  # likelihoods of a start in part,
 COMMON_CELLS, RARE = {1: 1.0, 2: 1.0, 3: 1.0, 4: 1.0, 5: 0.3, 6: 1.0, 8: 1.0, 10: 0.3, 12: 1.0, 14: 0.3}, 0.02
 STATED_ENDING_CELL_V, STATED_ENDING_SD_V, UNUSUALLY_STATED = 3.5, 0.12, 0.02
 LESS_LIKELY = 12.0
+GUESSED_FROM, TOLD_FROM = "first voltage", "cell voltages"  # sources of a count of cells that nobody states
+CUT_CELLS = 10  # fields for cells in BATTERY_STATUS: where all are used, a sender without more may leave cells out
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
 HIGHEST_C_RATE = 200.0  # in any row: at this rate a pack is empty in 18 s
@@ -118,6 +121,17 @@ def cells_from_voltage(
     likely = {n: _likelihood_of(n, voltage_V / n, endings_V, c_rate) for n in range(fewest, max(most, fewest + 1))}
     counts = sorted(likely, key=lambda n: -likely[n])
     return tuple(n for n in counts if likely[n] * LESS_LIKELY >= likely[counts[0]])
+
+
+def told_cells(cell_voltages_V: Sequence[float], voltage_V: float) -> int:
+    """Return the count of cells in series that a row tells one by one [V]; 0 if it does not tell all cells of the pack.
+
+    All are told if their sum is the voltage of the pack [V] and each is possible. Exactly CUT_CELLS may be a part.
+    """
+    told = len(cell_voltages_V)
+    if told < 2 or told == CUT_CELLS or not all(LOWEST_CELL_V <= V <= HIGHEST_CELL_V for V in cell_voltages_V):
+        return 0
+    return told if abs(sum(cell_voltages_V) - voltage_V) < 0.5 * LOWEST_CELL_V else 0
 
 
 def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_rate: float) -> float:

@@ -8,7 +8,7 @@ altitude counts from one of the levels in `Frame`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 NAN = math.nan
@@ -166,6 +166,10 @@ class Navigation:
     wind: Wind | None = None
     landed: bool | None = None  # EXTENDED_SYS_STATE
     transferring: bool = False  # a mission is being transferred and is not complete yet
+
+    def with_plan(self, mission: Mission, home: Home | None) -> Navigation:
+        """Return the same with a mission from a file, which has priority; its home counts where none is heard."""
+        return replace(self, mission=mission, home=self.home or home, transferring=False)
 
     @property
     def has_way(self) -> bool:

@@ -135,7 +135,7 @@ class JsonLinesSink:
 class CsvSink:
     """CsvSink writes a header row, then one row a line; an empty cell is what JSON Lines calls null."""
 
-    def __init__(self, file: TextIO, with_route: bool = False) -> None:
+    def __init__(self, file: TextIO, *, with_route: bool) -> None:
         self._rows = csv.writer(file, lineterminator="\n")
         self._columns = (*COLUMNS, *(ROUTE_COLUMNS if with_route else ()))
         self._rows.writerow(self._columns)
@@ -171,4 +171,4 @@ def json_lines(path: str | Path) -> AbstractContextManager[Sink]:
 
 def csv_table(path: str | Path, with_route: bool = False) -> AbstractContextManager[Sink]:
     """Return a context that gives a CSV sink to `path` (`-`: standard output); `with_route` adds a route's columns."""
-    return _opened(path, lambda file: CsvSink(file, with_route))
+    return _opened(path, lambda file: CsvSink(file, with_route=with_route))

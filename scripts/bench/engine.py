@@ -24,8 +24,9 @@ from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacit
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question

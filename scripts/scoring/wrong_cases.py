@@ -1,7 +1,7 @@
 """The flights of `wrong_packs.py`: packs that are not what is stated, drawn once and for all by fixed seeds.
 
 A generic battery meets any make at 0.4 to 2.5 times its ohms; a fitted one meets packs of the make that it was fitted
-to, healthy ones and worn ones, at 0.85 to 1.9 times the make's.
+to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from scoring.other_pack import (
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 
-GENERIC, FITTED = "generic", "fitted"
+GENERIC, FITTED, MIXED = "generic", "fitted", "mixed"
 GUSTY = Power()
 CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
 CHARGES = (("full", 0.97, 1.0), ("part", 0.60, 0.93))
@@ -52,6 +52,20 @@ HEALTHY = (
     (0.98, 1.05, 25.0, 220.0, 0.3),
     (1.00, 1.00, 30.0, 300.0, 0.3),
 )
+# Packs of one to fifty flights and more, as a crew's logs hold them: less capacity comes with more ohms.
+MIXED_AGES = (
+    (1.00, 1.00, 22.0, 260.0, 0.3),
+    (0.97, 1.20, 28.0, 330.0, 0.0),
+    (1.01, 0.96, 15.0, 400.0, 0.2),
+    (0.93, 1.35, 25.0, 220.0, 0.3),
+    (0.90, 1.50, 30.0, 300.0, 0.3),
+    (1.00, 1.05, 18.0, 280.0, 0.1),
+    (0.88, 1.60, 24.0, 350.0, 0.2),
+    (0.95, 1.10, 20.0, 240.0, 0.3),
+    (0.99, 0.90, 26.0, 310.0, 0.1),
+    (0.92, 1.40, 21.0, 290.0, 0.2),
+)
+FLOWN_BY = {FITTED: HEALTHY, MIXED: MIXED_AGES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +145,15 @@ def by_turns(each: int) -> list[Case]:
     return found
 
 
+def mixed(each: int) -> list[Case]:
+    """Return the flights of `sampled` with a true current for a battery that was fitted to packs of mixed age."""
+    return [
+        replace(case, name=case.name.replace(FITTED, MIXED), battery=MIXED)
+        for case in sampled(each)
+        if case.battery == FITTED and case.sensors.current_gain == 1.0
+    ]
+
+
 def _drawn(
     battery: str,
     capacity: tuple[str, float, float],
@@ -157,11 +180,11 @@ def _drawn(
     )
 
 
-def fitted(make: Make) -> BatteryFile:
-    """Fit a battery to flights of healthy packs of a make."""
+def fitted(make: Make, battery: str) -> BatteryFile:
+    """Fit a battery to flights of a make's packs: healthy ones for FITTED, of every age for MIXED."""
     flights = [
         flight(Pack(FULL_AH * share, 1.0, FULL_AH, ohms, make, CELLS, air_C), Power(level_W, climb=climb), seed=100 + k)
-        for k, (share, ohms, air_C, level_W, climb) in enumerate(HEALTHY)
+        for k, (share, ohms, air_C, level_W, climb) in enumerate(FLOWN_BY[battery])
     ]
     logs = [flown.flight(f"{make.name} {k}") for k, flown in enumerate(flights)]
-    return fit_battery(RecordedPack(f"{make.name}, fitted", CELLS, FULL_AH, CUTOFF_V), [], logs).file
+    return fit_battery(RecordedPack(f"{make.name}, {battery}", CELLS, FULL_AH, CUTOFF_V), [], logs).file

@@ -64,7 +64,7 @@ class Judged:
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
     """Return the packaged generic battery, or one fitted to the make."""
-    return battery_file.read_battery("lipo-generic") if name == GENERIC else fitted(make)
+    return battery_file.read_battery("lipo-generic") if name == GENERIC else fitted(make, name)
 
 
 def estimator(case: Case) -> Estimator:

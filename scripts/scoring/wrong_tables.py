@@ -11,7 +11,7 @@ import numpy as np
 
 from scoring.other_pack import FULL_AH
 from scoring.table import DASH, Table, figure, share
-from scoring.wrong_cases import FITTED, GENERIC
+from scoring.wrong_cases import FITTED, GENERIC, MIXED
 from scoring.wrong_judged import Judged, Said
 from scoring.wrong_live import Heard
 
@@ -45,8 +45,9 @@ def groups(every: Sequence[Judged]) -> Table:
     )  # fmt: skip
     drawn = [j for j in every if j.case.capacity_class != "issue"]
     rows = [_group(", ".join(name), list(some)) for name, some in groupby(drawn, key=lambda j: j.case.group)]
-    for battery in (GENERIC, FITTED):
-        rows.append(_group(f"{battery}, true current, all", [j for j in drawn if _is_metered(j, battery)]))
+    for battery in (GENERIC, FITTED, MIXED):
+        if metered := [j for j in drawn if _is_metered(j, battery)]:
+            rows.append(_group(f"{battery}, true current, all", metered))
     note = (
         "Mean |error| of the median (and bias, positive: too long), in seconds. 5 % point: the worst of the last two "
         "minutes. Alarm: true seconds left when it is raised, least / median / most. Inside, NEES: means over flights."

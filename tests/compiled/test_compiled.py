@@ -21,10 +21,11 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.compiled import cache as compiled_cache
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.filter import FilterResult, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question

@@ -11,7 +11,7 @@ from scoring.scenarios import flight
 
 from uavbatt import Estimator
 from uavbatt.records import Sample
-from uavbatt.telemetry.cleaning import Cleaner
+from uavbatt.telemetry.cleaning.cleaner import Cleaner
 
 STRUCK, SHOWN = 150, 240  # rows, one a second
 CAPACITY_AH = 5.0

@@ -48,7 +48,7 @@ def flights(every: int) -> list[Flight]:
 @cache
 def found(every: int) -> solve.BatteryFit:
     return solve.fit_battery(
-        observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.FLEET
+        observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.ALIKE
     )
 
 

@@ -21,7 +21,7 @@ from uavbatt.navigation import Navigation
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
-from uavbatt.telemetry.live import LiveReader
+from uavbatt.telemetry.link.reader import LiveReader
 
 ITEMS = [(0, 16, 47.0, 400.0), (3, 22, 47.0, 40.0), (3, 16, 47.002, 40.0), (3, 20, 0.0, 0.0)]
 STATION = {"system": 255, "component": 190}

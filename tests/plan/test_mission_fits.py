@@ -122,3 +122,10 @@ def test_a_mission_without_end_is_refused_with_its_name() -> None:
 def test_a_mission_that_only_lands_is_refused_with_its_name() -> None:
     with pytest.raises(UsageError, match="test: the mission flies nowhere"):
         planned(MissionItem(1, Action.LAND))
+
+
+def test_the_hover_that_is_left_is_the_pack_s_and_not_the_mission_s() -> None:
+    """Two missions of a minute or two: with the hover after them they empty the same pack."""
+    near, far = planned(to(1, 0.0, 20.0, 40.0)).here, planned(to(1, 0.0, 300.0, 40.0)).here
+    assert near.route.left_s + near.spare_s == pytest.approx(far.route.left_s + far.spare_s, rel=0.1)
+    assert near.spare_lo_s > 3.0 * near.route.left_s

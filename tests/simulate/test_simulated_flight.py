@@ -18,7 +18,7 @@ from uavbatt.errors import UsageError
 from uavbatt.records import Sample
 from uavbatt.simulate.flight import AFTER_END_S, IDLE_S, SimulatedFlight, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.info import describe
+from uavbatt.telemetry.quality.info import describe
 
 LOGS = Path(__file__).parents[2] / "logs"
 

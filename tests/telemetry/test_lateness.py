@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.mavlink import framing
-from uavbatt.telemetry.lateness import BOOT_TIME_AT, Lateness, boot_time_s
+from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, Lateness, boot_time_s
 
 BOOT_S = 100.0
 

@@ -10,7 +10,7 @@ from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.identity import completed
-from uavbatt.telemetry.live import is_sound
+from uavbatt.telemetry.link.reader import is_sound
 
 
 def smart_battery_info(serial: bytes, cycles: int = 65535, number: int = 0) -> bytes:

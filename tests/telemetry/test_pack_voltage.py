@@ -15,8 +15,8 @@ from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.fields import BatteryFields
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat, sys_status
-from uavbatt.telemetry.pack_voltage import PackVoltages
 
 
 def told(cells: tuple[float, ...]) -> BatteryFields:

@@ -12,7 +12,7 @@ import pytest
 from command import called
 
 from uavbatt.errors import UavbattError
-from uavbatt.telemetry.info import describe, lines
+from uavbatt.telemetry.quality.info import describe, lines
 from uavbatt.telemetry.read import read_bytes
 
 ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from uavbatt.simulate.flight import IDLE_S, SimulatedFlight, simulate_flight, wr
 from uavbatt.simulate.route import RouteFlight, route_flight, watts_of
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_frames import frames
-from uavbatt.telemetry.info import describe, lines
+from uavbatt.telemetry.quality.info import describe, lines
 from uavbatt.telemetry.route.commands import mission
 
 HOME = Home(47.0, 8.0, 420.0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from uavbatt.telemetry.streams import SequenceNumbers, Stream
+from uavbatt.telemetry.link.sequence_numbers import SequenceNumbers, Stream
 
 FRAME_S = 0.05
 ADDRESS = ("10.0.0.1", 14550)

@@ -1,7 +1,7 @@
 """The size of a pack as far as it is known in flight, and the doubts about it; a value that is replaced at each row.
 
-What the caller states counts first, then the vehicle's parameters, then the voltage (`sizing`). Each row of telemetry
-is compared with all of them (`statements`).
+What the caller states counts first, then the vehicle's parameters, then the cells if their voltages are told one by
+one, then the first voltage (`sizing`). Each row of telemetry is compared with all of them (`statements`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, counts_of_cells, resting, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, counts_of_cells, resting, size_of_pack
 from uavbatt.battery.statements import PowerRange, Statements
-from uavbatt.limits import Doubt, FirstVoltages, Resting
+from uavbatt.limits import GUESSED_FROM, TOLD_FROM, Doubt, FirstVoltages, Resting, told_cells
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
@@ -38,6 +38,7 @@ class KnownSize(NamedTuple):
     first_A: float = NAN  # current at the first voltage [A]
     counts: tuple[int, ...] = ()
     rested_V: float = NAN  # of the first rows, which shows the kind of the cells [V of the pack]
+    told: int = 0  # cells whose voltages were told one by one, at most in a row
 
     @property
     def refusal(self) -> str:
@@ -58,6 +59,9 @@ class KnownSize(NamedTuple):
         before, voltages = self.statements.voltages, statements.voltages
         first_A = self.first_A if self.statements.rows else sample.current_A
         updated = self._replace(statements=statements, size=size, first_A=first_A)
+        is_told = len(sample.cell_voltages_V) > self.told and _told(sample) > self.told
+        if is_told:
+            updated = updated._replace(told=_told(sample))._with_counts()._with_size()
         if voltages is not before:
             updated = updated._with_counts()
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
@@ -75,12 +79,14 @@ class KnownSize(NamedTuple):
         first = next((s for s in coming if math.isfinite(s.voltage_V)), None)
         if first is None:
             return None
-        guessed, *_ = self._replace(first_A=first.current_A)._counts(first.voltage_V)
-        return size_of_pack(self.battery, self.options, self.facts, guessed, voltages=FirstVoltages(first.voltage_V))
+        seen = self._replace(first_A=first.current_A, told=max(self.told, _told(first)))
+        guessed, *_ = seen._counts(first.voltage_V)
+        voltages = FirstVoltages(first.voltage_V)
+        return size_of_pack(self.battery, self.options, self.facts, guessed, seen.source_of_count, voltages=voltages)
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed: no row of the new one was seen yet."""
-        return self._replace(statements=Statements(), counts=(), rested_V=NAN)
+        return self._replace(statements=Statements(), counts=(), rested_V=NAN, told=0)
 
     def _with_counts(self) -> KnownSize:
         """Return what is known with the cells counted by what was seen."""
@@ -91,11 +97,19 @@ class KnownSize(NamedTuple):
         """Return the size by what is known now; where nobody states the cells, by the likeliest count."""
         assert self.size is not None
         guessed, voltages = (*self.counts, self.size.cells)[0], self.statements.voltages
-        size = size_of_pack(self.battery, self.options, self.facts, guessed, voltages=voltages, rested_V=self.rested_V)
+        stated, source = (self.battery, self.options, self.facts), self.source_of_count
+        size = size_of_pack(*stated, guessed, source, voltages=voltages, rested_V=self.rested_V)
         return self._replace(size=size)
+
+    @property
+    def source_of_count(self) -> str:
+        """Return the source of a count of cells that nobody states, in words."""
+        return TOLD_FROM if self.told else GUESSED_FROM
 
     def _counts(self, first_V: float) -> tuple[int, ...]:
         """Return the counts of cells that fit the first voltage [V] and what the vehicle says, the likeliest first."""
+        if self.told:
+            return (self.told,)
         return counts_of_cells(self.battery, self.options, self.facts, first_V, self.first_A)
 
     def _count_doubts(self, size: PackSize) -> tuple[Doubt, ...]:
@@ -107,6 +121,11 @@ class KnownSize(NamedTuple):
             return ()
         words = f"nobody states the cells: {size.cells} in series by the first voltage, {others[0]} would fit as well"
         return (Doubt(Notice(words, Kind.CELLS_NOT_STATED), False),)
+
+
+def _told(sample: Sample) -> int:
+    """Return the count of cells that a row tells one by one; 0 if it does not."""
+    return told_cells(sample.cell_voltages_V, sample.voltage_V)
 
 
 def before_any_row(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:

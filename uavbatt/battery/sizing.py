@@ -20,6 +20,7 @@ from uavbatt.battery.size_remarks import fuller, likely, scaled_far, uncertified
 from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
+    GUESSED_FROM,
     LOWEST_CELL_V,
     OPTIONS,
     RESTING_SLACK_V,
@@ -38,7 +39,6 @@ from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
-GUESSED_FROM = "first voltage"  # source of a count of cells that nobody states
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 

@@ -18,14 +18,17 @@ from uavbatt.battery.sizing import PackOptions, PackSize, capacity_since_s, chec
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     C_RATE,
+    GUESSED_FROM,
     KELVIN,
     LONGEST_ROW_S,
     POWER_FACTOR,
+    TOLD_FROM,
     USUAL_C_RATE,
     Doubt,
     FirstVoltages,
     Resting,
     cells_doubt,
+    told_cells,
 )
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, Flight, PackFacts, Sample
@@ -256,10 +259,12 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, f
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    guess = counts_of_cells(battery, options, facts, first.voltage_V, first.current_A)[0]
+    told = told_cells(first.cell_voltages_V, first.voltage_V)
+    guess = told or counts_of_cells(battery, options, facts, first.voltage_V, first.current_A)[0]
+    source = TOLD_FROM if told else GUESSED_FROM
     try:
         voltages = first_voltages(flight.samples, size_of_pack(battery, options, facts, guess).capacity_Ah)
-        size = size_of_pack(battery, options, facts, guess, voltages=voltages, rested_V=voltages.rested_V)
+        size = size_of_pack(battery, options, facts, guess, source, voltages=voltages, rested_V=voltages.rested_V)
         return checked(battery, size, voltages)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None

@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import io
 import os
+import signal
 import sys
-from collections.abc import Collection
+import threading
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -15,6 +18,32 @@ def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
     if words and words[0] not in commands and Path(words[0]).is_file():
         return ["replay", *words]
     return words
+
+
+class _Ended(BaseException):
+    """_Ended says that a signal ends the process, by its number."""
+
+
+def _end(number: int, _: object) -> None:
+    raise _Ended(number)
+
+
+@contextmanager
+def _endings() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block by an exception, which removes the files that are not written to their end.
+
+    A signal that is ignored (nohup) stays ignored.
+    """
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    is_ours = threading.current_thread() is threading.main_thread()
+    taken = [n for n in (getattr(signal, name) for name in names) if is_ours and signal.getsignal(n) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def main() -> None:
@@ -28,7 +57,8 @@ def main() -> None:
     from uavbatt.errors import UavbattError, terminal_line
 
     try:
-        app(_completed(sys.argv[1:], {command.name for command in app.registered_commands}))
+        with _endings():
+            app(_completed(sys.argv[1:], {command.name for command in app.registered_commands}))
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)
@@ -42,3 +72,6 @@ def main() -> None:
     except KeyboardInterrupt:
         print("uavbatt: interrupted", file=sys.stderr)
         sys.exit(130)
+    except _Ended as end:
+        print(f"uavbatt: ended by {signal.Signals(end.args[0]).name}", file=sys.stderr)
+        sys.exit(128 + end.args[0])

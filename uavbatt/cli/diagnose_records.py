@@ -46,7 +46,7 @@ def one_size(sizes: set[Size]) -> Size:
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecord:
     """Return the rows of a flight as a record. Raises NotEnoughData if it has no current."""
     from uavbatt.fitting import observed
-    from uavbatt.telemetry.plausibility import MAX_CELL_C
+    from uavbatt.telemetry.cleaning.plausibility import MAX_CELL_C
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
         raise NotEnoughData(f"{flight.source}: no row has a current, and diagnose needs one")

@@ -21,7 +21,7 @@ def info(
     Example: uavbatt info flight.BIN
     """
     from uavbatt.telemetry import read_log
-    from uavbatt.telemetry.info import describe, lines
+    from uavbatt.telemetry.quality.info import describe, lines
 
     for line in lines(describe(read_log(log, instance, system))):
         say(line)

@@ -26,14 +26,15 @@ from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.problem import Refit
 from uavbatt.diagnosis.worth import left_out_values
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.engine import PLAIN, Engine
+from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
-from uavbatt.telemetry.drawn import loaded_A
+from uavbatt.telemetry.quality.drawn import loaded_A
 
 # Rows are thinned to one in ROW_S, as the model is slower; one forecast a minute is judged, the first after SETTLING_S.
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0

@@ -30,7 +30,7 @@ from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
 from uavbatt.diagnosis.search import SUSPECT, FoundEffect, search, small
 from uavbatt.diagnosis.trial import Trial
-from uavbatt.estimator import PLAIN, Engine
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.fitting.observed import ObservedRecord
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]

@@ -23,8 +23,8 @@ from uavbatt.diagnosis.rivals import related
 from uavbatt.diagnosis.search import FoundEffect, finding
 from uavbatt.diagnosis.trial import FIRST_TURNS, FURTHER_TURNS, trial
 from uavbatt.diagnosis.worth import at_bound, worth
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import NotEnoughData
-from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import ObservedRecord
 
 # Effects that can begin between two flights. The others are properties of the cell, or differ in every flight.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from uavbatt.battery.capacity_prior import Capacities, known_capacity
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X, mixed_covariance
 from uavbatt.estimation.block import Block, is_complete
-from uavbatt.estimation.kalman import Moments, filterpy_condition
+from uavbatt.estimation.kalman import Moments
 from uavbatt.estimation.noise import first_air
 from uavbatt.estimation.recursion import (
     NOTHING,
@@ -27,6 +26,7 @@ from uavbatt.estimation.recursion import (
     Innovation,
     Window,
     filter_window,
+    flight_window,
     start,
 )
 from uavbatt.estimation.time_alignment import Skew
@@ -86,7 +86,7 @@ class SocFilter:
         self._state: FilterState | None = None
         self._skew = Skew(float(pack.installation.delay_s))
         self._last = NOT_BEGUN
-        self._in_flight: Window = partial(filter_window, condition=filterpy_condition())
+        self._window = flight_window()
 
     @property
     def belief(self) -> Belief | None:
@@ -102,7 +102,7 @@ class SocFilter:
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; one without voltage or current moves nothing, and its estimate says so."""
-        (row,) = self.run([sample], self._in_flight)
+        (row,) = self.run([sample], self._window)
         return estimate_of(sample, row)
 
     def run(self, samples: Sequence[Sample], window: Window = filter_window) -> list[FilterResult]:

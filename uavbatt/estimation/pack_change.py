@@ -99,8 +99,11 @@ class SwapWatch(NamedTuple):
         consumed_Ah = sample.consumed_Ah if math.isfinite(sample.consumed_Ah) else self.consumed_Ah
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
-            is_shown = silence is not None and now._shows_another(silence, sample, pack)
-            return self._other(now, silence) if is_shown else now._with_silence(silence, sample, pack)
+            if silence is None:
+                return now
+            if now._shows_another(silence, sample, pack):
+                return self._other(now, silence)
+            return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
         if time_s - since_s > SLOWLY_AFTER_S:
@@ -126,10 +129,6 @@ class SwapWatch(NamedTuple):
             return False
         cells = float(pack.installation.cells)
         return silence.is_another_rested((sample.voltage_V + self._drop_V(pack, sample.current_A)) / cells)
-
-    def _with_silence(self, silence: Silence | None, sample: Sample, pack: Pack) -> SwapWatch:
-        """Return the watch with the silence as long as the aircraft stands; a flight that goes on ends it."""
-        return self._replace(silence=silence) if silence and _is_on_ground(silence, sample, pack) else self
 
     def _drop_V(self, pack: Pack, current_A: float) -> float:
         """Return the instantaneous voltage drop of the pack under a current [V], by the last belief."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -119,6 +120,11 @@ def filter_window(
         for at, shown in taken
     ]
     return rows, state
+
+
+def flight_window() -> Window:
+    """Return the recursion over rows as it runs in flight: filterpy takes the measurements in."""
+    return partial(filter_window, condition=kalman.filterpy_condition())
 
 
 def _take(

@@ -24,6 +24,7 @@ from uavbatt.records import Flight, PackFacts
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
+EVALUATIONS = 60  # of a fit, at most; fits of 3 to 40 flights need 10 to 30
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
 FAR_SDS = 2.5  # sds of the prior: LiPo packs stay within 2.2, a lithium-ion pack is at 2.9
 ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s")  # heat flows in many ways
@@ -66,12 +67,11 @@ def fit_battery(
     if not bench and not flight_records:
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
     stack = observed.stack(bench + flight_records)
-    effects, own_prior = _freedom(len(bench), len(flight_records))
-    fit = solve.fit_battery(
-        stack, effects, own_prior=own_prior, progress=progress, evaluations=60, has_bench=bool(bench)
-    )
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     has_spread = len(flight_records) > 2 and not bench
+    fit = _solve(stack, len(bench), len(flight_records), progress)
+    if has_spread:
+        fit = _more_probable(stack, fit, progress)
+    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     spread = float(np.std(fit.own[:, 1])) if has_spread else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
     trajectory = solve.replay_fit(stack, fit)
@@ -105,7 +105,34 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    return FittedBattery(file, _known_words(fit), unknown, doubtful)
+    known = (*_known_words(fit), *(_pack_words(fit) if has_spread else ()))
+    return FittedBattery(file, known, unknown, doubtful)
+
+
+def _solve(stack: Stack, tests: int, flights: int, progress: Callable[[int], None] | None) -> BatteryFit:
+    """Fit the cell to bench tests and flights whose packs are alike."""
+    effects, own_prior = _freedom(tests, flights)
+    return solve.fit_battery(
+        stack, effects, own_prior=own_prior, progress=progress, evaluations=EVALUATIONS, has_bench=tests > 0
+    )
+
+
+def _more_probable(stack: Stack, alike: BatteryFit, progress: Callable[[int], None] | None) -> BatteryFit:
+    """Return the fit to packs that are alike, or to packs in service if the flights make these more probable.
+
+    A worn pack among packs that are said to be alike bends the curve of the type: of ten flights with packs that hold
+    88 to 101 % the soc was then wrong by 2.2 of its standard deviations. Where packs are alike, more freedom costs.
+    """
+    in_service = solve.fit_battery(
+        stack,
+        alike.effects,
+        own_prior=solve.IN_SERVICE,
+        start_u=alike.u,
+        progress=progress,
+        evaluations=EVALUATIONS,
+        has_bench=False,
+    )
+    return max(alike, in_service, key=lambda fit: fit.log_evidence)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
@@ -116,7 +143,7 @@ def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]
     """
     if tests and flights:
         return (*prior.BASE_EFFECTS, "charge_transfer"), [solve.SAMPLES] * tests + [OwnPrior()] * flights
-    return prior.BASE_EFFECTS, [OwnPrior() if tests else solve.FLEET] * (tests + flights)
+    return prior.BASE_EFFECTS, [OwnPrior() if tests else solve.ALIKE] * (tests + flights)
 
 
 def size_of(
@@ -178,6 +205,12 @@ def _known_words(fit: BatteryFit) -> tuple[str, ...]:
         value, sd = float(fit.x[i]), fit.standard_error(slot.name)
         lines.append(f"{slot.name} = {value:.4g} ± {sd:.2g}")
     return tuple(lines)
+
+
+def _pack_words(found: BatteryFit) -> tuple[str, ...]:
+    """Return in words how much the packs of the flights differ."""
+    resistance, capacity = np.std(found.own[:, 1:], axis=0)
+    return (f"packs of the flights differ by {resistance:.0%} in resistance, {capacity:.0%} in capacity (sd)",)
 
 
 def _range_C(stack: Stack) -> dict[str, float]:

@@ -18,8 +18,8 @@ from uavbatt.battery.model import LONGEST_STEP_S, Array
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight
-from uavbatt.telemetry.cleaning import Cleaner
-from uavbatt.telemetry.plausibility import BOARD_START_C
+from uavbatt.telemetry.cleaning.cleaner import Cleaner
+from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C
 
 BIN_S = 5.0
 # The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.

@@ -56,7 +56,7 @@ def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers 
     return min(fits, key=lambda fit: fit[0])[1]
 
 
-def flown_rows(flight: Flight, sensors: Installation = AS_METERED) -> PowerRows | None:
+def flown_rows(flight: Flight, sensors: Installation) -> PowerRows | None:
     """Return the means of one flight in blocks of BLOCK_S; None when too little of it is known."""
     progress, rows = Progress(), []
     before_s = math.nan

@@ -67,12 +67,12 @@ def predict_unmetered(
     return out
 
 
-def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
+def fit_unmetered(test: MeanTest) -> Posterior:
     """Find the most probable cell and load for the mean test."""
-    return fit_each([test], effects)[0]
+    return fit_each([test], prior.BASE_EFFECTS)[0]
 
 
-def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...] = prior.BASE_EFFECTS) -> list[Posterior]:
+def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...]) -> list[Posterior]:
     """Fit cell and load to each mean test by itself; they share ambient temperature and cells.
 
     Those read at the same instants are simulated side by side.

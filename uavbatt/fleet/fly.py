@@ -23,10 +23,10 @@ from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.telemetry.drawn import drawn
 from uavbatt.telemetry.formats.packed import as_log
-from uavbatt.telemetry.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.join import Wiring, bytes_joined
+from uavbatt.telemetry.quality.drawn import drawn
+from uavbatt.telemetry.quality.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0

@@ -27,10 +27,10 @@ from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
-from uavbatt.telemetry.live import LiveReader, LiveRow
+from uavbatt.telemetry.link.reader import LiveReader, LiveRow
+from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
-from uavbatt.telemetry.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from uavbatt.live.pack_keeper import PackKeeper

@@ -15,7 +15,7 @@ from uavbatt.mavlink import framing
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.signing import Verifier
 from uavbatt.telemetry.formats.mission_file import read_mission
-from uavbatt.telemetry.live import LiveReader, checksum
+from uavbatt.telemetry.link.reader import LiveReader, checksum
 
 MOST_SENDERS = 32
 MOST_TOLD = 100  # notes that go to the log

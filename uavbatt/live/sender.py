@@ -22,9 +22,9 @@ from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, Outgoing
 from uavbatt.navigation import Navigation
-from uavbatt.telemetry.following import VehicleChoice
-from uavbatt.telemetry.live import LiveReader
-from uavbatt.telemetry.vehicle import Vehicle
+from uavbatt.telemetry.link.reader import LiveReader
+from uavbatt.telemetry.link.vehicle import Vehicle
+from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 
 ANNOUNCE_PERIOD_S = 0.25
 MOST_SAID = 8
@@ -33,7 +33,7 @@ MOST_SAID = 8
 class Sender:
     """Sender sends heartbeats, feeds and requests when they are due."""
 
-    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
+    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None) -> None:
         self._config, self._link, self._stations = config, link, stations
         self._named = NamedFeed(config.feed.named_rate_Hz)
         self._component = BatteryFeed(config.feed.battery_rate_Hz)

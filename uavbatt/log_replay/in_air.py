@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.model import Array
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of
-from uavbatt.telemetry.drawn import loaded_A
+from uavbatt.telemetry.quality.drawn import loaded_A
 
 DOUBTED = {Kind.DEAD_CURRENT, Kind.STUCK_CURRENT}
 LOADED_TAU_S = 10.0
@@ -44,9 +44,7 @@ class InAir(NamedTuple):
 
 
 def in_air(run: Sequence[ReplayedRow]) -> InAir:
-    """Return which rows of a replay are in the air; none of them if the log has no current.
-    =>
-    LANDED_AFTER_S"""
+    """Return which rows of a replay are in the air; none of them if the log has no current."""
     amps = np.array([s.estimate.current_A for s in run])
     least_A = loaded_A(amps)
     loaded = np.nan_to_num(amps) > least_A

@@ -14,8 +14,9 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, PackSize, why_no_capacity
 from uavbatt.battery.statements import check_statements
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import UsageError
-from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.estimator import Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
@@ -52,7 +53,7 @@ def estimator_for(
     battery: BatteryFile,
     options: PackOptions,
     settings: ForecastSettings,
-    remembered: PackHealth | None = None,
+    remembered: PackHealth | None,
 ) -> Estimator:
     """Make the estimator of a flight, after a check of the stated pack against the first rows.
 
@@ -78,11 +79,7 @@ def recorded_period_s(flight: Flight) -> float:
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     """Return the flight with the mission of a file instead of the log's own."""
     return replace(
-        flight,
-        navigation=tuple(
-            replace(known, mission=planned.mission, home=known.home or planned.home, transferring=False)
-            for known in flight.navigation
-        ),
+        flight, navigation=tuple(known.with_plan(planned.mission, planned.home) for known in flight.navigation)
     )
 
 

@@ -134,7 +134,7 @@ def battery_of(frame: bytes) -> BatteryStatusParts | None:
     return BatteryStatusParts(payload[ID_AT], percent, left_s)
 
 
-def with_battery(frame: bytes, time_remaining_s: int, percent: int | None = None) -> bytes:
+def with_battery(frame: bytes, time_remaining_s: int, percent: int | None) -> bytes:
     """Return the same BATTERY_STATUS frame (see `battery_of`) with another time [s] and, if given, percent."""
     payload = bytearray(frame[V2_HEADER : V2_HEADER + frame[1]].ljust(TIME_END, b"\0"))
     struct.pack_into("<i", payload, TIME_AT, time_remaining_s)

@@ -30,14 +30,12 @@ class Verifier:
         self._newest = 0
         self._signing: set[tuple[int, int]] = set()  # who has shown a good signature
         self._rejected: Counter[tuple[int, str]] = Counter()  # system, why
-        self.rejected = 0
 
     def accepts(self, frame: bytes, header: framing.Header) -> bool:
         """Return True if a complete frame is accepted."""
         why = self._fault(frame, header)
         if not why:
             return True
-        self.rejected += 1
         if len(self._rejected) < 64 or (header.system, why) in self._rejected:
             self._rejected[header.system, why] += 1
         return False

@@ -8,7 +8,6 @@ among silent clients, and keeps it while it sends.
 
 from __future__ import annotations
 
-import math
 import socket
 from collections.abc import Iterator
 
@@ -28,7 +27,7 @@ class TcpServer:
 
     is_stream, problem = True, ""
 
-    def __init__(self, at: Endpoint, silent_after_s: float = math.inf) -> None:
+    def __init__(self, at: Endpoint, silent_after_s: float) -> None:
         self._clients: dict[Pipe, tuple[bool, float]] = {}  # has it spoken, and when it last did or came [s]
         self._silent_after_s = silent_after_s
         try:

@@ -26,7 +26,7 @@ from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, Sample
-from uavbatt.telemetry.drawn import drawn, loaded_A
+from uavbatt.telemetry.quality.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
@@ -99,7 +99,7 @@ def check_cells(
     battery: BatteryFile,
     options: PackOptions,
     flight: Flight,
-    before: PackHealth | None = None,
+    before: PackHealth | None,
 ) -> None:
     """Raise AnotherSize if the flight cannot be saved under a name whose pack has another number of cells.
 

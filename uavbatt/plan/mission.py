@@ -34,8 +34,8 @@ from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
 from uavbatt.records import Route
 
-STEPS = 400
-BEYOND = 2.0  # times the route: how long the hover at home is looked at
+STEPS = 400  # half of them until touchdown
+BEYOND = 1.5  # longest hovers of a full pack: how long the hover at home is looked at
 MOST_HOVERS = 2.0  # a longer route is not simulated: it does not fit
 LEVELS = (0.05, 0.5, 0.95)
 NOT_REACHED = 0.5  # no charge is shown where more of the draws have ended before
@@ -158,8 +158,9 @@ def _fit(
     """Return the mission at one temperature, the samples of its simulation, and when each of them ends [s]."""
     (ahead, way), ambient_C = flown, belief.ambient_C
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
-    looked_s = min(ahead.touchdown_s, MOST_HOVERS * _longest_hover_s(pack, planned.powers))
-    dt_s = np.full(STEPS, BEYOND * looked_s / STEPS)
+    longest_s = _longest_hover_s(pack, planned.powers)
+    looked_s = min(ahead.touchdown_s, MOST_HOVERS * longest_s)
+    dt_s = np.repeat([looked_s, BEYOND * longest_s], STEPS // 2) / (STEPS // 2)
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]

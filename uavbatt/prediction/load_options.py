@@ -15,15 +15,16 @@ from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, Load, LoggedLoa
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
 
+OPTION = "--load "  # as the command line spells it
 WORDS = ("learned", "recent", "log")
 
 
 def stated_load(
     text: str,
     flight: Flight,
-    vehicle: VehicleFile | None = None,
+    vehicle: VehicleFile | None,
     battery: BatteryFile | None = None,
-    name: str = "--load ",
+    name: str = OPTION,
 ) -> Load:
     """Return the load to come for the word that the user gives.
 
@@ -46,10 +47,10 @@ def stated_load(
     return ConstantLoad(_watts(text, name), STATED_SPREAD)
 
 
-def check_word(text: str, name: str = "--load ") -> None:
+def check_word(text: str) -> None:
     """Raise UsageError for an unknown word, before any flight is read."""
     if text not in WORDS:
-        _watts(text, name)
+        _watts(text, OPTION)
 
 
 def _watts(text: str, name: str) -> float:

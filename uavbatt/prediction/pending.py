@@ -51,17 +51,12 @@ class Pending(NamedTuple):
             found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
         if remaining.remaining_alarm_s <= ALARM_S:
             found = replace(found, warnings=(*found.warnings, ALARM))
-        if self._ends_unsaid(remaining):
+        is_unsaid = not math.isfinite(remaining.remaining_s) and sample.armed is not False  # in flight
+        if is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S:
             found = replace(found, warnings=(*found.warnings, ENDS_SOON))
         if remaining.route is not None and remaining.route.must_turn_back_now:
             found = replace(found, warnings=(*found.warnings, TURN_BACK))
         return found, remaining
-
-    def _ends_unsaid(self, remaining: Remaining) -> bool:
-        """Return True if there is no forecast in flight, and the voltage alone is near enough to its cut-off for an
-        alarm."""
-        is_unsaid = not math.isfinite(remaining.remaining_s) and self.sample.armed is not False
-        return is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S
 
 
 def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:

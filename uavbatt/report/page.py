@@ -144,10 +144,10 @@ def _cell(tag: str, content: str, css: str) -> Html:
     return Html(cell.replace("<th", '<th scope="col"', 1)) if tag == "th" else cell
 
 
-def scrolled(content: Html, label: str, css: str = "scroll") -> Html:
+def scrolled(content: Html, label: str) -> Html:
     """Return content that scrolls sideways, by keyboard too."""
     attributes = f'role="region" aria-label="{safe(label)}" tabindex="0"'
-    return Html(f'<div class="{escape(css)}" {attributes}>{content}</div>')
+    return Html(f'<div class="scroll" {attributes}>{content}</div>')
 
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:

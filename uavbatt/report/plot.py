@@ -61,7 +61,7 @@ def literal(text: str) -> str:
     return (clean if len(clean) <= 40 else clean[:39] + "…").replace("$", r"\$")
 
 
-def drawing(draw: Callable[[Figure], None], alt: str, height: float = HEIGHT, width: float = WIDTH) -> Html:
+def drawing(draw: Callable[[Figure], None], alt: str, height: float, width: float = WIDTH) -> Html:
     """Return a figure of `width` x `height` units that `draw` fills, as inline SVG with `alt` as its description."""
     from matplotlib import style
     from matplotlib.backends.backend_svg import FigureCanvasSVG

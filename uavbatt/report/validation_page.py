@@ -76,9 +76,7 @@ class ValidationPage:
         return self.paper is not None and bool(self.paper.agreements)
 
 
-def page_of(
-    validation: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
-) -> ValidationPage:
+def page_of(validation: Validation, paper: PaperReplay | None, changes: Sequence[ErrorChange] | None) -> ValidationPage:
     """Work out what the page needs besides; without `changes`, they are the gains of the loop over temperature."""
     return ValidationPage(
         found=validation,

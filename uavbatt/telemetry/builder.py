@@ -32,6 +32,10 @@ CLOCK_GAP_S, REBOOT_GAP_S = 1.0, 10.0  # a longer gap would count charge that wa
 MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
 IMPOSSIBLE_CURRENTS = "impossible currents set to unknown"
+# Rules for MAVLink, the same in flight and in a tlog (`link.vehicle` explains them).
+ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
+LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
+BEATING_S = 3.0  # two heartbeats this close are in a row
 CARRYING = 0.4  # share of the strongest battery's energy; two in parallel give about the same
 
 
@@ -123,7 +127,7 @@ def default_instance(log: LogBuilder) -> int:
     If none reports a current, it is the first with a voltage.
     """
     from uavbatt.telemetry.columns import rows_of
-    from uavbatt.telemetry.drawn import given_J
+    from uavbatt.telemetry.quality.drawn import given_J
 
     if len(log.columns or log.rows) == 1:
         return next(iter(log.columns or log.rows))

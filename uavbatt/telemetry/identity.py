@@ -49,6 +49,12 @@ def firmware_of(messages: Iterable[str]) -> str:
     return next((m.strip() for m in messages if _VERSION.search(m)), "")
 
 
+def stated_serial(known: Mapping[str, float], instance: int) -> str:
+    """Return a pack's serial by the vehicle's parameters; empty if they hold none."""
+    serial = known.get(ardupilot_prefix(instance) + "SERIAL_NUM", NAN)
+    return known_serial(f"{serial:.0f}") if serial > 0 else ""
+
+
 def completed(
     identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int, pack: PackIdentity | None = None
 ) -> Identity:
@@ -56,11 +62,9 @@ def completed(
     pack = pack or PackIdentity(instance)
     said: Mapping[str, float] = {name: value for _, name, value in parameters}
     system = next((int(said[name]) for name in _SYSTEM if said.get(name, NAN) > 0), None)
-    serial = said.get(ardupilot_prefix(instance) + "SERIAL_NUM", NAN)
-    stated = known_serial(f"{serial:.0f}") if serial > 0 else ""
     return replace(
         identity,
         system=system if identity.system is None else identity.system,
-        battery_serial=pack.serial or identity.battery_serial or stated,
+        battery_serial=pack.serial or identity.battery_serial or stated_serial(said, instance),
         battery_cycles=pack.cycles,
     )

@@ -7,7 +7,7 @@ Rows are those of the first battery, each with the others' latest values, so tha
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from itertools import pairwise
@@ -38,14 +38,10 @@ def read_joined(path: str | Path, wiring: Wiring, system: int | None = None) -> 
 
 def bytes_joined(source: str, data: Content, wiring: Wiring, system: int | None = None) -> Flight:
     """Read all batteries of a log in memory as one pack; `source` is its name. Otherwise as `read_joined`."""
-    return _all_joined(lambda instance: read_bytes(source, data, instance, system), wiring)
-
-
-def _all_joined(read: Callable[[int | None], Flight], wiring: Wiring) -> Flight:
-    first = read(None)
-    if len(first.instances) < 2:
-        raise UsageError(f"{first.source}: one battery: there is nothing to join in {wiring}")
-    return joined([read(instance) for instance in first.instances], wiring)
+    instances = read_bytes(source, data, None, system).instances
+    if len(instances) < 2:
+        raise UsageError(f"{source}: one battery: there is nothing to join in {wiring}")
+    return joined([read_bytes(source, data, instance, system) for instance in instances], wiring)
 
 
 def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:

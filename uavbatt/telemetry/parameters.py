@@ -123,8 +123,8 @@ def monitor_parameter(instance: int) -> str:
 def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:
     """Return the facts of `instance` from all parameters known so far."""
     prefix = ardupilot_prefix(instance)
-    cells = _px4(known, instance, "N_CELLS")
-    empty_V = _px4(known, instance, "V_EMPTY")
+    cells = _first(known, _px4_name(known, instance, "N_CELLS"))
+    empty_V = _first(known, _px4_name(known, instance, "V_EMPTY"))
     capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
     is_untouched = math.isnan(capacity_mAh) or capacity_mAh == _UNTOUCHED_CAPACITY_MAH
     if is_untouched and known.get(prefix + "MONITOR") == SUM_OF_OTHERS:
@@ -168,10 +168,6 @@ def _has_bit(options: float) -> bool:
 def _px4_name(known: Mapping[str, float], instance: int, what: str) -> str:
     numbered = any(name.startswith(f"BAT{n}_") for n in range(1, 5) for name in known)
     return f"BAT_{what}" if instance == 0 and not numbered else f"BAT{instance + 1}_{what}"
-
-
-def _px4(known: Mapping[str, float], instance: int, what: str) -> float:
-    return _first(known, _px4_name(known, instance, what))
 
 
 def _first(known: Mapping[str, float], *names: str) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, SupportsIndex
@@ -178,46 +177,47 @@ def _kind_and_rows(
     kind = _kind(source, data)
     if system is not None and kind != "tlog":
         raise UsageError(f"{source}: system {system}: only a .tlog holds several vehicles, this is a log of one")
-    log = _reader(kind, system, has_route)(source, data)
+    log = _rows(kind, source, data, system, has_route)
     if not (log.rows or log.columns):
         dropped = "; ".join(log.all_notes())
         raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
     return kind, log
 
 
-def _reader(kind: str, system: int | None, has_route: bool) -> Callable[[str, Content], LogBuilder]:
-    """Return the reader of logs of a kind; only that is imported."""
+def _rows(kind: str, source: str, data: Content, system: int | None, has_route: bool) -> LogBuilder:
+    """Return what a log of a kind holds; only the reader of that kind is imported."""
     if kind == "dataflash-binary":
-        from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
+        from uavbatt.telemetry.formats.dataflash_binary import read_dataflash
 
-        return lambda _, data: read_binary(data)
+        return read_dataflash(data)
     if kind == "tlog":
-        from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
+        from uavbatt.telemetry.formats.tlog import read_tlog
 
-        return lambda source, data: read_tlog(source, data, system, has_route)
+        return read_tlog(source, data, system, has_route)
+    whole = bytes(data)
     if kind == "dataflash-text":
         from uavbatt.telemetry.formats.dataflash_text import read_dataflash_text
 
-        return lambda _, data: read_dataflash_text(bytes(data))
+        return read_dataflash_text(whole)
     if kind == "ulog":
         from uavbatt.telemetry.formats.ulog import read_ulog
 
-        return lambda source, data: read_ulog(source, bytes(data))
+        return read_ulog(source, whole)
     if kind == "airdata":
         from uavbatt.telemetry.formats.airdata_csv import read_airdata
 
-        return lambda source, data: read_airdata(source, bytes(data))
+        return read_airdata(source, whole)
     if kind == "dji-record":
         from uavbatt.telemetry.formats.dji_record_csv import read_dji_record
 
-        return lambda source, data: read_dji_record(source, bytes(data))
+        return read_dji_record(source, whole)
     if kind == "blackbox":
         from uavbatt.telemetry.formats.blackbox_csv import read_blackbox
 
-        return lambda source, data: read_blackbox(source, bytes(data))
+        return read_blackbox(source, whole)
     from uavbatt.telemetry.formats.csv_table import read_csv
 
-    return lambda source, data: read_csv(source, bytes(data))
+    return read_csv(source, whole)
 
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:

@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from uavbatt.errors import BadInput
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_VOLTAGE_V, LogBuilder
-from uavbatt.telemetry.cleaning import LATEST_S
+from uavbatt.telemetry.cleaning.cleaner import LATEST_S
 from uavbatt.telemetry.formats.csv_units import check_units
 from uavbatt.telemetry.formats.px4_unknown import px4_value
 

@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.errors import BadInput
 from uavbatt.limits import C_RATE, LONGEST_ROW_S, cells_from_voltage
 from uavbatt.records import Sample
-from uavbatt.telemetry.drawn import drawn, loaded_A
+from uavbatt.telemetry.quality.drawn import drawn, loaded_A
 
 SEVERAL_STEPS, SEVERAL_ROWS = 5, 20
 LEAST_COUNTED_AH, SAME, SHORT_S = 0.3, 0.1, 90.0

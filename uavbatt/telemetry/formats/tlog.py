@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from uavbatt.errors import UsageError
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
-from uavbatt.telemetry.builder import CLOCK_GAP_S, LEAP_S, LogBuilder, finite_or_nan
+from uavbatt.telemetry.builder import (
+    ALONE_AFTER_S,
+    BEATING_S,
+    CLOCK_GAP_S,
+    LEAP_S,
+    LONGEST_ALONE_S,
+    LogBuilder,
+    finite_or_nan,
+)
 from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
@@ -29,7 +37,6 @@ from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.vehicle import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
-from uavbatt.telemetry.columns import UNKNOWN, Column, distinct, latest_before
-from uavbatt.telemetry.formats.chain import Mask
-from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
-from uavbatt.telemetry.pack_voltage import (
+from uavbatt.telemetry.cleaning.pack_voltage import (
     AGREE,
     HIGHEST_IN_FLIGHT_V,
     LOWEST_IN_FLIGHT_V,
     PackVoltages,
     is_in_sys_status,
 )
+from uavbatt.telemetry.columns import UNKNOWN, Column, distinct, latest_before
+from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 
 
 class HeardMessages(NamedTuple):

@@ -76,9 +76,7 @@ def _root(matrix: Array) -> Array:
     return root
 
 
-def new_curve_scores(
-    parts: Components, with_samples: bool, seed: int = 5725, draws: int = DRAWS
-) -> tuple[Array, Array]:
+def new_curve_scores(parts: Components, with_samples: bool, seed: int) -> tuple[Array, Array]:
     """Simulate |new curve - mean|/s, [draw, level], with s by the crossed model and s the plain SD of all results.
 
     One draw repeats the whole experiment (occasions x samples), estimates mean and s, and tests one new curve.
@@ -89,7 +87,7 @@ def new_curve_scores(
     size = len(occasion)
 
     def draw(root: Array, *shape: int) -> Array:
-        normal: Array = rng.standard_normal((draws, *shape, size)) @ root.T
+        normal: Array = rng.standard_normal((DRAWS, *shape, size)) @ root.T
         return normal
 
     y = draw(occasion, o, 1) + draw(residual, o, k)
@@ -97,7 +95,7 @@ def new_curve_scores(
     if with_samples:
         y, new = y + draw(sample, 1, k), new + draw(sample)
     mean = y.mean(axis=(1, 2))
-    plain = y.reshape(draws, o * k, size).std(axis=1, ddof=1)
+    plain = y.reshape(DRAWS, o * k, size).std(axis=1, ddof=1)
     modelled = np.sqrt(_variance(y, with_samples))
     gap = np.abs(new - mean)
     return _ratio(gap, modelled), _ratio(gap, plain)

@@ -222,9 +222,7 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     return np.array(df)
 
 
-def from_quasi_replicates(
-    ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...] = (), seed: int = 5725
-) -> Corridor:
+def from_quasi_replicates(ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...], seed: int) -> Corridor:
     """Build the corridor about a line in temperature through one-time curves one degree apart."""
     m, levels = group.residuals.shape
     covariance = group.residuals.T @ group.residuals / (m - 2)

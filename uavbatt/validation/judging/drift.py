@@ -20,6 +20,7 @@ from uavbatt.validation.study.paper_equations import DRIFT_LIMIT, drift_ratio
 
 NDIndex = NDArray[np.intp]
 PERMUTATIONS = 10_000  # a p-value of 5 % is known to 0.2 % by so many
+LEAST_RUNS = 2  # on each side of a step
 EXACT_UP_TO = 60  # runs: counting takes n³ steps, and the normal approximation is good for more
 
 
@@ -186,15 +187,15 @@ def slope(results: ArrayLike) -> Slope:
     return Slope(per_run, error, p, float(stats.theilslopes(values).slope))
 
 
-def step_share(tables: Array, least: int = 2) -> Array:
-    """Compute the share of a column's sum of squares that a step after run k explains, [..., k - least].
+def step_share(tables: Array) -> Array:
+    """Compute the share of a column's sum of squares that a step after run k explains, [..., k - LEAST_RUNS].
 
     `tables[..., run, column]` is centred per column; the share is averaged over the columns that vary.
     """
     n = tables.shape[-2]
     whole = (tables**2).sum(axis=-2)
-    ends = np.cumsum(tables, axis=-2)[..., least - 1 : n - least, :]
-    k = np.arange(least, n - least + 1)[:, None]
+    ends = np.cumsum(tables, axis=-2)[..., LEAST_RUNS - 1 : n - LEAST_RUNS, :]
+    k = np.arange(LEAST_RUNS, n - LEAST_RUNS + 1)[:, None]
     share = ends**2 * (1 / k + 1 / (n - k)) / np.where(whole > 0, whole, np.inf)[..., None, :]
     mean: Array = share.sum(axis=-1) / max(int((whole.reshape(-1, whole.shape[-1])[0] > 0).sum()), 1)
     return mean

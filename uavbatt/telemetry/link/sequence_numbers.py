@@ -38,12 +38,12 @@ class SequenceNumbers:
 
         time_s : of reception [s]. There is one sender until two sequences have gone on in turn.
         """
-        other = 1 - self._now
-        if self._steps(other, number) < min(self._steps(self._now, number), LOST + 1):
+        other, steps = 1 - self._now, self._steps(self._now, number)
+        if self._steps(other, number) < min(steps, LOST + 1):
             if self._is_apart():
                 self._turns.append(time_s)
             self._now = other
-        elif self._steps(self._now, number) > LOST:
+        elif steps > LOST:
             self._now = other  # a jump: the sequence that was idle begins anew
         self._last[self._now] = number
         return self._streams[self._now if time_s - self._turns[0] <= WITHIN_S else 0]

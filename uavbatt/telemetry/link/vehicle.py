@@ -22,10 +22,13 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.lateness import Lateness
-from uavbatt.telemetry.pack_voltage import PackVoltages, is_in_sys_status
-from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
+from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S, LogBuilder
+from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
+from uavbatt.telemetry.identity import stated_serial
+from uavbatt.telemetry.link.lateness import Lateness
+from uavbatt.telemetry.link.senders import MOST_SENDERS, Senders
+from uavbatt.telemetry.link.sequence_numbers import SequenceNumbers
+from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
     MISSION_ACK,
@@ -34,14 +37,9 @@ from uavbatt.telemetry.route.messages import (
     NavigationListener,
 )
 from uavbatt.telemetry.route.settings import NAMES
-from uavbatt.telemetry.senders import MOST_SENDERS, Senders
-from uavbatt.telemetry.streams import SequenceNumbers
 
 FALLBACK_AFTER_S = 5.0
-ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
-LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 CONFIRMED_WITHIN_S = 60.0
-BEATING_S = 3.0
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
@@ -135,10 +133,12 @@ class Vehicle:
         return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
-        """Return the sender of a frame from an address: two may share one address (`streams`)."""
-        if address not in self._counts and len(self._counts) >= MOST_SENDERS:
-            del self._counts[next(iter(self._counts))]  # the first that was heard
-        return self._counts.setdefault(address, SequenceNumbers(address)).stream(framing.sequence(frame), stamp_s)
+        """Return the sender of a frame from an address: two may share one address (`sequence_numbers`)."""
+        if address not in self._counts:
+            if len(self._counts) >= MOST_SENDERS:
+                del self._counts[next(iter(self._counts))]  # the first that was heard
+            self._counts[address] = SequenceNumbers(address)
+        return self._counts[address].stream(framing.sequence(frame), stamp_s)
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
@@ -150,13 +150,9 @@ class Vehicle:
         return said[-1][1] if said else PackFacts()
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Return serial and cycles of a battery's pack: from its own messages, else from the parameter with its
-        serial."""
+        """Return serial and cycles of a battery's pack: from its own messages, else the serial from the parameter."""
         said = self.packs.get(instance, fields.PackIdentity(instance))
-        serial = self.parameters.known.get(ardupilot_prefix(instance) + "SERIAL_NUM", math.nan)
-        if said.serial or not serial > 0.0:
-            return said
-        return replace(said, serial=fields.known_serial(f"{serial:.0f}"))
+        return replace(said, serial=said.serial or stated_serial(self.parameters.known, instance))
 
     def resume(self, earlier: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
@@ -188,15 +184,7 @@ class Vehicle:
     ) -> list[LiveRow]:
         """Return the rows that a message of the autopilot completes; `battery` is the battery reading in it, if any."""
         if message_id == fields.HEARTBEAT:
-            says_armed = fields.is_armed(message)
-            self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
-            self._said_armed, self._beat_s = says_armed, time_s
-            self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
-            self.route.take(time_s, message_id, message)
-            self.words[b"heartbeat"] = frame
-            unread, self._unread = self._unread, []
-            for said, of_frame in unread:
-                self._hear(said, of_frame)
+            self._beat(message, frame, time_s)
             return self._released(time_s)
         if message_id == fields.PARAM_VALUE:
             self._hear(message, frame)
@@ -210,10 +198,26 @@ class Vehicle:
         if battery is None:  # from a program that writes a mission, with the autopilot's own ids
             return []
         if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, self._with_all_cells(battery, time_s))
-            self._alone_s = 0.0 if row is not None and row.instance == 0 else self._alone_s
-            return [] if row is None else self._confirmed(row)
+            is_in_other = is_in_sys_status(battery.id, self.is_px4 is True, self.battery_ids)
+            row = self._row(time_s, self.voltages.of(battery, time_s, self._log.armed, is_in_other))
+            if row is None:
+                return []
+            if row.instance == 0:
+                self._alone_s = 0.0
+            return self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
+
+    def _beat(self, heartbeat: Any, frame: bytes, time_s: float) -> None:
+        """Take the armed bit and the make of the autopilot, and then the integers that waited for its make."""
+        says_armed = fields.is_armed(heartbeat)
+        self._log.armed = says_armed or (self._said_armed and time_s - self._beat_s <= BEATING_S)
+        self._said_armed, self._beat_s = says_armed, time_s
+        self.is_px4 = heartbeat.autopilot == fields.AUTOPILOT_PX4
+        self.route.take(time_s, fields.HEARTBEAT, heartbeat)
+        self.words[b"heartbeat"] = frame
+        unread, self._unread = self._unread, []
+        for said, of_frame in unread:
+            self._hear(said, of_frame)
 
     def _take_of_route(self, message_id: int, message: Any, frame: bytes, time_s: float) -> None:
         if message_id in OF_OTHERS or message_id == MISSION_ACK:
@@ -271,10 +275,6 @@ class Vehicle:
             return []
         released, self._held = self._held, []
         return released
-
-    def _with_all_cells(self, battery: fields.BatteryFields, time_s: float) -> fields.BatteryFields:
-        is_of_sys_status = is_in_sys_status(battery.id, self.is_px4 is True, self.battery_ids)
-        return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
         """Return the row, cleaned by the rules of the log readers; None if they drop it."""

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.telemetry.following import VehicleChoice
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
-from uavbatt.telemetry.lateness import BOOT_TIME_AT, boot_time_s
+from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
+from uavbatt.telemetry.link.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
+from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
-from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 
 __all__ = ["LiveReader", "LiveRow", "TakenFrame", "checksum"]
 
@@ -81,7 +80,6 @@ class LiveReader:
         self._resumed: Mapping[str, float] = {}
         self.planned: PlannedFlight | None = None
         self.following = VehicleChoice()
-        self.rejected = 0
         self._now_s = -math.inf
 
     @property
@@ -92,23 +90,21 @@ class LiveReader:
     @property
     def late_s(self) -> float:
         """Return the delay of the followed vehicle's frames by its own clock [s]; 0 if the clock is not to be used."""
-        if self.followed is None or not self._has_clock:
-            return 0.0
-        return self.followed.lateness.late_s(self._now_s)
+        vehicle = self.followed
+        return vehicle.lateness.late_s(self._now_s) if vehicle is not None and self._has_clock else 0.0
 
     @property
     def navigation(self) -> Navigation:
         """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
-        known = self.followed.route.now if self.followed is not None else NOWHERE
-        if self.planned is None:
-            return known
-        home = known.home or self.planned.home
-        return replace(known, mission=self.planned.mission, home=home, transferring=False)
+        vehicle = self.followed
+        known = vehicle.route.now if vehicle is not None else NOWHERE
+        return known.with_plan(self.planned.mission, self.planned.home) if self.planned is not None else known
 
     @property
     def parameters(self) -> Mapping[str, float]:
         """Return the vehicle's parameters, by name, without those in doubt."""
-        return self.followed.parameters.known if self.followed is not None else self._resumed
+        vehicle = self.followed
+        return vehicle.parameters.known if vehicle is not None else self._resumed
 
     def resume(self, parameters: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; they replace any that were resumed before.
@@ -122,7 +118,8 @@ class LiveReader:
 
     def conflict(self, instance: int) -> str:
         """Return in words what the senders of a battery disagree on; empty while they agree."""
-        return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
+        vehicle = self.followed
+        return vehicle.senders.conflict(instance, self._now_s) if vehicle is not None else ""
 
     def notes(self) -> list[str]:
         """Return notes for the operator about the vehicles and senders that are heard."""
@@ -155,7 +152,6 @@ class LiveReader:
         if header.message_id in WANTED:
             message = self._decode(frame)
             if not message:
-                self.rejected += 1
                 return NOTHING
             if header.message_id in _TOLD_BY:
                 self._hear(header, message)
@@ -195,14 +191,15 @@ class LiveReader:
 
     def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> TakenFrame:
         """Process a frame without a row: of another component of the vehicle, or of a station that writes a mission."""
-        if self.followed is None:
+        followed = self.followed
+        if followed is None:
             return NOTHING
         is_to_us = message is not None and header.message_id in OF_OTHERS
-        if is_to_us and self.followed.take_other(header.message_id, message, frame):
+        if is_to_us and followed.take_other(header.message_id, message, frame):
             return TakenFrame([], True)
-        if header.system != self.followed.system:
+        if header.system != followed.system:
             return NOTHING
-        self.followed.passes(stamp_s)
+        followed.passes(stamp_s)
         return TakenFrame([], True)
 
     def _hear(self, header: framing.Header, message: Any) -> None:

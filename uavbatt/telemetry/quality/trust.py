@@ -17,9 +17,10 @@ from uavbatt.limits import (
     capacity_doubt,
     cells_from_voltage,
     ending_doubt,
+    told_cells,
 )
 from uavbatt.records import Flight, PackFacts
-from uavbatt.telemetry.drawn import DrawnCharge
+from uavbatt.telemetry.quality.drawn import DrawnCharge
 
 _YES, _CARE, _NO = 0, 1, 2
 _WORDS = {_YES: "yes", _CARE: "with care", _NO: "no"}
@@ -106,20 +107,24 @@ def _voltage(found: LogFigures) -> Iterator[Finding]:
     elif found.sag_correlation > _LOOSE_SAG:
         correlation = f"correlation {found.sag_correlation:.2f}"
         yield _CARE, f"voltage hardly follows current ({correlation}): not simultaneous, or sag-compensated"
-    known_V = [s.voltage_V for s in found.flight.samples if math.isfinite(s.voltage_V)]
-    if known_V:
-        yield from _statements(found.facts, known_V)
+    known = [s for s in found.flight.samples if math.isfinite(s.voltage_V)]
+    if known:
+        told = told_cells(known[0].cell_voltages_V, known[0].voltage_V)
+        yield from _statements(found.facts, [s.voltage_V for s in known], told)
 
 
-def _statements(facts: PackFacts, known_V: Sequence[float]) -> Iterator[Finding]:
-    """Compare what the vehicle states of its pack with the voltages that were measured [V], at least one."""
+def _statements(facts: PackFacts, known_V: Sequence[float], told: int) -> Iterator[Finding]:
+    """Compare what the vehicle states of its pack with the voltages that were measured [V], at least one.
+
+    told : cells that the first row tells one by one; 0 if none.
+    """
     lowest_V, highest_V = min(known_V), max(known_V)
     cells = facts.cells_series
     if cells and (lowest_V < LOWEST_CELL_V * cells or highest_V > HIGHEST_CELL_V * cells):
         spoken = f"{lowest_V / cells:.2f} .. {highest_V / cells:.2f} V per cell"
         yield _CARE, f"{spoken} with {cells} cells: is the count right?"
         cells = None
-    cells = cells or cells_from_voltage(known_V[0], endings_V=facts.endings_V)[0]
+    cells = cells or told or cells_from_voltage(known_V[0], endings_V=facts.endings_V)[0]
     for doubt in (
         capacity_doubt(facts.capacity_Ah),
         ending_doubt("critical voltage ", facts.critical_voltage_V, cells),

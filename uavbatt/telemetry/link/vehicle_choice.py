@@ -8,7 +8,7 @@ because the other vehicle is probably not ours.
 
 from __future__ import annotations
 
-from uavbatt.telemetry.vehicle import Vehicle
+from uavbatt.telemetry.link.vehicle import Vehicle
 
 VEHICLE_SILENT_S = 10.0
 AWAITED_S = 3600.0  # no flight lasts longer without telemetry

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from statistics import median
 
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
-from uavbatt.telemetry.drawn import drawn
-from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
-from uavbatt.telemetry.trust import LogFigures, verdict
+from uavbatt.telemetry.cleaning.plausibility import sag_correlation, temperature_verdict
+from uavbatt.telemetry.quality.drawn import drawn
+from uavbatt.telemetry.quality.trust import LogFigures, verdict
 
+SHOWN_GAPS = 5
 _OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 
@@ -36,7 +37,7 @@ def describe(flight: Flight) -> LogInfo:
     figures = LogFigures(
         flight=flight,
         step_s=step_s,
-        gaps=tuple((a.time_s, b.time_s - a.time_s) for a, b in _pairs(samples) if b.time_s - a.time_s > limit_s),
+        gaps=tuple((a.time_s, b.time_s - a.time_s) for a, b in pairwise(samples) if b.time_s - a.time_s > limit_s),
         total=drawn(samples, limit_s),
         facts=flight.facts_at(math.inf),
         temperature=temperature_verdict(samples),
@@ -47,7 +48,7 @@ def describe(flight: Flight) -> LogInfo:
 
 def median_step_s(samples: Sequence[Sample]) -> float:
     """Return the median time between rows [s]; NaN with fewer than two rows."""
-    steps_s = [b.time_s - a.time_s for a, b in _pairs(samples)]
+    steps_s = [b.time_s - a.time_s for a, b in pairwise(samples)]
     return median(steps_s) if steps_s else NAN
 
 
@@ -102,10 +103,6 @@ def _vehicle(who: Identity) -> str:
     return ", ".join(s for s in said if s) or "not named in the log"
 
 
-def _pairs(samples: Sequence[Sample]) -> Iterator[tuple[Sample, Sample]]:
-    return itertools.pairwise(samples)
-
-
 def _number(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}" if math.isfinite(value) else "unknown"
 
@@ -145,8 +142,8 @@ def _facts(facts: PackFacts) -> str:
     return ", ".join(s for s in said if s) or "not described in the log"
 
 
-def _gaps(gaps: Sequence[tuple[float, float]], shown: int = 5) -> str:
+def _gaps(gaps: Sequence[tuple[float, float]]) -> str:
     if not gaps:
         return "none"
-    listed = ", ".join(f"{length_s:.1f} s at {start_s:.0f} s" for start_s, length_s in gaps[:shown])
-    return f"{len(gaps)}: {listed}" + (", ..." if len(gaps) > shown else "")
+    listed = ", ".join(f"{length_s:.1f} s at {start_s:.0f} s" for start_s, length_s in gaps[:SHOWN_GAPS])
+    return f"{len(gaps)}: {listed}" + (", ..." if len(gaps) > SHOWN_GAPS else "")

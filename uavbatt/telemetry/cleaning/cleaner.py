@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from uavbatt.limits import HIGHEST_C_RATE
 from uavbatt.records import NAN, PackFacts, Sample
-from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
+from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C, plausible_temperature_C
 
 LATEST_S = 1e12  # 30,000 years: a later time is damaged
 HELD_CURRENT_S = 5.0

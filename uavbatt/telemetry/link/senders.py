@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from uavbatt.mavlink.fields import BatteryFields
-from uavbatt.telemetry.streams import Stream
+from uavbatt.telemetry.link.sequence_numbers import Stream
 
 SENDER_SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
