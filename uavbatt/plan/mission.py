@@ -27,12 +27,12 @@ from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
 from uavbatt.prediction.route_ahead import Ahead
-from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
+from uavbatt.prediction.route_forecast import Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
-from uavbatt.records import Route
+from uavbatt.records import IN_TIME, Route
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
