@@ -2,7 +2,7 @@
 
 ArduCopter until 4.6 counts in centimetres (WPNAV_SPEED, RTL_ALT), from 4.7 on in metres under new names (WP_SPD,
 RTL_ALT_M); PX4 counts in metres. 0 of an ArduCopter speed is "the speed of the mission". PX4 uses its cone only within
-RTL_MIN_DIST of home (since version 1.12), and climbs to the whole return height elsewhere.
+RTL_MIN_DIST of home, and climbs to the whole return height elsewhere; older versions used it at any distance.
 """
 
 from __future__ import annotations
