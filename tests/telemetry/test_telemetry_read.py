@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import random
 import subprocess
@@ -238,3 +239,20 @@ def test_a_clock_of_another_century_was_never_set() -> None:
     week, time_of_week_ms = 2366.0, 172_800_000.0
     assert 1.7e9 < gps_utc_s(week, time_of_week_ms) < 1.9e9
     assert math.isnan(gps_utc_s(99_999_999.0, time_of_week_ms))
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_the_garbage_collector_is_left_as_it_was(tmp_path: Path, is_on: bool) -> None:
+    """Also by a file that is no log."""
+    (tmp_path / "log.csv").write_text("time_s,voltage_V\n0,16.0\n")
+    (tmp_path / "bad.csv").write_text("time_s,voltage_V\n0,none\n")
+    was_on = gc.isenabled()
+    try:
+        (gc.enable if is_on else gc.disable)()
+        read_log(tmp_path / "log.csv")
+        assert gc.isenabled() is is_on
+        with pytest.raises(BadInput):
+            read_log(tmp_path / "bad.csv")
+        assert gc.isenabled() is is_on
+    finally:
+        (gc.enable if was_on else gc.disable)()

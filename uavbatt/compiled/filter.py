@@ -1,7 +1,7 @@
 """The filter's recursion over a window of rows, compiled: the twin of `estimation.recursion`, equal to it to rounding.
 
-Model and noise are the functions that the recursion calls; only the recursion itself (predict, update, blocks of rows)
-stands here a second time, as loops over rows and members instead of arrays of them.
+Model and noise are the functions that the recursion calls; only the recursion itself (blocks of rows here, predict and
+update in `member`) stands a second time, as loops over rows and members instead of arrays of them.
 """
 
 from __future__ import annotations
@@ -11,22 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from uavbatt.battery import equations as eq
-from uavbatt.battery import model
 from uavbatt.battery import state_space as b
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
-from uavbatt.compiled.jit import as_numbers, compiled, share
-from uavbatt.compiled.kalman import PER_NUDGES, finite_difference_step, joseph, predicted_covariance, projected
+from uavbatt.compiled.jit import as_numbers, borrowed, compiled, share
+from uavbatt.compiled.member import predict, settle, update
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
 from uavbatt.estimation.kalman import Moments
-from uavbatt.estimation.recursion import FULL_SOC_SD, GATE, FilteredRow, FilterState, Innovation, weighed
+from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
 from uavbatt.records import Sample
 
-share(noise)
 share(recursion)
 
 
@@ -70,105 +67,14 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
 
 
 @compiled
-def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
-    """Return mean and covariance `dt_s` later, as `kalman.predict` does by `state_space.transition`."""
-    columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
-    stride, bias_kept = model.stride(pack.cell, dt_s), eq.decay(dt_s, pack.bias_tau_s)
-    for k in range(2 * SIZE + 1):
-        finite_difference_step(at, x, k)
-        now = b.unpack(pack, at)
-        later = model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, stride)
-        columns[k, X.SOC], columns[k, X.POLARISATION], columns[k, X.DIFFUSION] = later[:3]
-        columns[k, X.CORE], columns[k, X.SENSOR] = later.core_C, later.sensor_C
-        columns[k, X.LOG_RESISTANCE], columns[k, X.LOG_CAPACITY] = at[X.LOG_RESISTANCE], at[X.LOG_CAPACITY]
-        columns[k, X.BIAS], columns[k, X.REACTION] = eq.relax_to(at[X.BIAS], 0.0, bias_kept), at[X.REACTION]
-    for j in range(SIZE):
-        for i in range(SIZE):
-            F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
-    spread = predicted_covariance(F, P)
-    q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
-    for j in range(SIZE):
-        spread[j, j] += q[j]
-    return columns[2 * SIZE], spread
-
-
-@compiled
-def update(
-    pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
-) -> tuple[Array, Array, float, float, float, float, float]:
-    """Update a belief by the means of a block, as `recursion._update` does.
-
-    Returns the mean [9] and covariance [9, 9] after it, innovation [V], its variance [V²], NIS, the expected voltage
-    [V], and by how much the block is warmer than expected [K], NaN without a temperature.
-    """
-    size = 2 if np.isfinite(temp_C) else 1
-    H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
-    volts, at = np.empty(2 * SIZE + 1), x.copy()
-    for k in range(2 * SIZE + 1):
-        finite_difference_step(at, x, k)
-        volts[k] = b.reported_voltage(pack, b.unpack(pack, at), at[X.BIAS], current_A)
-    expected_V = volts[2 * SIZE]
-    for j in range(SIZE):
-        H[0, j] = (volts[2 * j] - volts[2 * j + 1]) * PER_NUDGES[j]
-    y[0] = voltage_V - expected_V
-    R[0, 0] = noise.reading_variance(pack, x, current_A, step_A)
-    if size == 2:
-        H[1, X.SENSOR] = 1.0
-        y[1] = temp_C - (x[X.SENSOR] + pack.installation.offset_K)
-        R[1, 1] = pack.temperature_sd_K**2
-    PHt, S = projected(P, H)
-    for i in range(size):
-        S[i, i] += R[i, i]
-    variance_V2 = S[0, 0]
-    nis = y[0] ** 2 / S[0, 0]
-    if size == 2:
-        nis = y[0] ** 2 * S[1, 1] - 2.0 * y[0] * y[1] * S[0, 1] + y[1] ** 2 * S[0, 0]
-        nis /= S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
-    if nis > GATE:  # believe it less, so that its normalised innovation is GATE
-        for i in range(size):
-            for j in range(size):
-                R[i, j] += S[i, j] * (nis / GATE - 1.0)
-                S[i, j] *= nis / GATE
-    later, spread = joseph(x, P, PHt, S, H, R, y)
-    excess = later[X.SOC] - 1.0
-    if excess > 0.0:
-        full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
-        full[0, X.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
-        PHt, S = projected(spread, full)
-        later, spread = joseph(later, spread, PHt, S + sure, full, sure, short)
-    for i in range(SIZE):
-        for j in range(i):
-            spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
-    return later, spread, y[0], variance_V2, nis, expected_V, y[1] if size == 2 else np.nan
-
-
-@compiled
-def settle(pack: Pack, x: Array, P: Array, dt_s: float) -> None:
-    """Move the discrepancy of one member, in place, towards what it is in a pack at rest, as `recursion._settled`."""
-    keep = np.exp(-dt_s / noise.SETTLING_S)
-    x[X.BIAS] *= keep
-    for j in range(SIZE):
-        P[X.BIAS, j] *= keep
-    for j in range(SIZE):
-        P[j, X.BIAS] *= keep
-    P[X.BIAS, X.BIAS] += (1.0 - keep**2) * noise.rested_variance(pack, x[X.SOC])
-
-
-@compiled
-def put(mean: Array, covariance: Array, x: Array, P: Array) -> None:
-    """Copy the moments `x` and `P` of one member; an assignment of arrays would take numba six seconds to compile."""
-    for i in range(SIZE):
-        mean[i] = x[i]
-        for j in range(SIZE):
-            covariance[i, j] = P[i, j]
-
-
-@compiled
 def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: Array, log_weight: Array) -> None:
-    """Copy the moments of all members."""
+    """Copy the moments of all members; an assignment of arrays would take numba six seconds to compile."""
     for k in range(log_weight.size):
-        put(means[k], covariances[k], x[k], P[k])
         log_weights[k] = log_weight[k]
+        for i in range(SIZE):
+            means[k, i] = x[k, i]
+            for j in range(SIZE):
+                covariances[k, i, j] = P[k, i, j]
 
 
 @compiled
@@ -189,14 +95,12 @@ def close(
     for k in range(members):
         if is_settling:
             settle(pack, x[k], P[k], dt_s)
-        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, air.ambient_C, dt_s)
-        step_A = mean_A - block_A
-        mean, spread, innovation_V[k], variance_V2[k], nis, volts, off_K = update(
-            pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
+        predict(pack, x[k], P[k], block[2] / dt_s, air.ambient_C, dt_s)
+        innovation_V[k], variance_V2[k], nis, volts, off_K = update(
+            pack, x[k], P[k], block[3] / block[0], mean_A, mean_C, mean_A - block_A
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
         expected_V, warmer_K = expected_V + weight[k] * volts, warmer_K + weight[k] * off_K
-        put(x[k], P[k], mean, spread)
     for i in range(block.size):
         block[i] = 0.0
     if not is_settling:
@@ -207,18 +111,26 @@ def close(
 
 
 @compiled
-def look(
-    pack: Pack, x: Array, log_weight: Array, drawn_As: float, current_A: float, voltage_V: float, shown: Array
+def show_within(
+    pack: Pack, x: Array, log_weight: Array, drawn_As: Array, current_A: Array, voltage_V: Array, shown: Array
 ) -> None:
-    """Write a row within a block against the model into `shown` [4], as an `Innovation`; its NIS stays NaN."""
-    expected_V, soc = 0.0, 0.0
+    """Write rows within one block against the model into `shown` [rows, 4], as `Innovation` has them; NIS stays NaN.
+
+    x, log_weight : means and ln of the weights after the block before; drawn_As : charge [A s] drawn since then, NaN
+    for a row that is not taken in or closes the block.
+    """
+    taken = np.flatnonzero(np.isfinite(drawn_As))
+    for row in taken:
+        shown[row, 2] = shown[row, 3] = 0.0
     for k in range(log_weight.size):
         weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
-        left = x[k, X.SOC] - drawn_As / (3600.0 * now.installation.present_capacity_Ah)
-        between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
-        expected_V += weight * b.reported_voltage(pack, between, x[k, X.BIAS], current_A)
-        soc += weight * left
-    shown[0], shown[2], shown[3] = voltage_V - expected_V, expected_V, soc
+        for row in taken:
+            left = x[k, X.SOC] - drawn_As[row] / (3600.0 * now.installation.present_capacity_Ah)
+            between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
+            shown[row, 2] += weight * b.reported_voltage(pack, between, x[k, X.BIAS], current_A[row])
+            shown[row, 3] += weight * left
+    for row in taken:
+        shown[row, 0] = voltage_V[row] - shown[row, 2]
 
 
 @compiled
@@ -243,10 +155,11 @@ def run(
     of the last row taken in and ambient temperature at each row, what each row shows [n, 4] as `Innovation` has it, and
     the state after the last row: currents of the last row and block [A], the open block, the air.
     """
-    n, last = rows.shape[1], 0
+    n, last, pack = rows.shape[1], 0, borrowed(pack)
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
     in_force, times_s, ambients_C, shown = np.zeros(n, np.int64), np.empty(n), np.empty(n), np.full((n, 4), np.nan)
+    drawn_As, true_A = np.full(n, np.nan), np.full(n, np.nan)
     x, P, block = x.copy(), P.copy(), block.copy()
     put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
@@ -271,7 +184,7 @@ def run(
             block[6] += 1.0
         at_s, before_A, times_s[k] = time_s, current_A, time_s
         if block[1] < BLOCK_S:
-            look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
+            drawn_As[k], true_A[k] = block[2], current_A
             continue
         log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, since_load_s = close(
             pack, x, P, log_weight, block, block_A, air, since_load_s
@@ -281,5 +194,13 @@ def run(
         last += 1
         put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
+    begin = 0
+    for end in np.append(np.flatnonzero(np.diff(in_force)) + 1, n):
+        at = in_force[begin]
+        show_within(
+            pack, means[at], log_weights[at], drawn_As[begin:end], true_A[begin:end], rows[1, begin:end],
+            shown[begin:end],
+        )  # fmt: skip
+        begin = end
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
     return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block, air, since_load_s)

@@ -53,27 +53,14 @@ def projected(P: Array, H: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def finite_difference_step(at: Array, x: Array, k: int) -> None:
-    """Turn difference point k - 1 into point k in place: + and - for each component in turn, `x` itself last."""
-    j = k // 2
-    if k % 2:
-        at[j] = x[j] - NUDGE[j]
-        return
-    if k > 0:
-        at[j - 1] = x[j - 1]
-    if j < SIZE:
-        at[j] = x[j] + NUDGE[j]
-
-
-@compiled
-def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
-    """Condition on one measurement of at most two readings, S = H P Hᵀ + R; returns mean and covariance after it.
+def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> None:
+    """Condition mean and covariance, in place, on one measurement of at most two readings, S = H P Hᵀ + R.
 
     The covariance is in Joseph's form as in filterpy, (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left
     in vectors: K has two columns at most.
     """
     n = y.size
-    K, later, kept = np.empty((n, SIZE)), x.copy(), P.copy()
+    K = np.empty((n, SIZE))
     determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0] if n == 2 else S[0, 0]
     for j in range(SIZE):
         if n == 2:
@@ -83,18 +70,17 @@ def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Arra
             K[0, j] = PHt[0, j] / determinant
     for m in range(n):
         for i in range(SIZE):
-            later[i] += K[m, i] * y[m]
+            x[i] += K[m, i] * y[m]
             for j in range(SIZE):
-                kept[i, j] -= K[m, i] * PHt[m, j]
-    across = np.zeros((n, SIZE))  # the term that K takes away once more: kept Hᵀ less K R
+                P[i, j] -= K[m, i] * PHt[m, j]
+    across = np.zeros((n, SIZE))  # the term that K takes away once more: P Hᵀ, of what is left, less K R
     for m in range(n):
         for i in range(SIZE):
             for j in range(SIZE):
-                across[m, i] += kept[i, j] * H[m, j]
+                across[m, i] += P[i, j] * H[m, j]
             for other in range(n):
                 across[m, i] -= K[other, i] * R[other, m]
     for m in range(n):
         for i in range(SIZE):
             for j in range(SIZE):
-                kept[i, j] -= across[m, i] * K[m, j]
-    return later, kept
+                P[i, j] -= across[m, i] * K[m, j]

@@ -15,7 +15,6 @@ import io
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 
 from uavbatt.errors import BadInput
@@ -63,11 +62,10 @@ def read_csv(source: str, data: bytes) -> LogBuilder:
         named = dict(zip(columns, cells, strict=True))
         if factors:
             named = {ours: _scaled(theirs, named[theirs], factor) for ours, (theirs, factor) in factors.items()}
-        sample = _sample(source, place, named, before_s)
-        before_s = sample.time_s
+        before_s = _time_s(source, place, named, before_s)
         start_s = before_s if start_s is None else start_s
         log.now_s = before_s - start_s  # the times of a table are stated: a jump is no reboot
-        log.add(0, replace(sample, time_s=log.now_s))
+        log.add(0, _sample(source, place, named, log.now_s))
     check_units(source, log.rows.get(0, []), log.counts[IMPOSSIBLE_CURRENTS])
     return log
 
@@ -139,18 +137,27 @@ def _close(name: str, candidates: Sequence[str]) -> str | None:
     return lowered[hits[0]] if hits else None
 
 
-def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> Sample:
-    """Return one checked row, with its time [s] as written; `before_s` is the time of the row before."""
+def _time_s(source: str, place: str, cells: dict[str, str], before_s: float) -> float:
+    """Return the checked time of a row [s] as written; `before_s` is that of the row before."""
+
+    def error(expected: str) -> BadInput:
+        return BadInput(source, f"{place}, column time_s", expected)
+
+    time_s = _number(_seconds(cells.get("time_s", "")), True, error)
+    if time_s < before_s:
+        raise error(f"time not before {before_s:g} s, found {time_s:g}")
+    if not abs(time_s) < LATEST_S:
+        raise error(f"seconds, found {time_s:g}")
+    return time_s
+
+
+def _sample(source: str, place: str, cells: dict[str, str], time_s: float) -> Sample:
+    """Return one checked row at `time_s` [s]."""
 
     def number(column: str, needed: bool = False) -> float:
         return _number(cells.get(column, ""), needed, lambda e: BadInput(source, f"{place}, column {column}", e))
 
-    cells = {**cells, "time_s": _seconds(cells.get("time_s", ""))}
-    time_s, voltage_V = number("time_s", needed=True), number("voltage_V", needed=True)
-    if time_s < before_s:
-        raise BadInput(source, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")
-    if not abs(time_s) < LATEST_S:
-        raise BadInput(source, f"{place}, column time_s", f"seconds, found {time_s:g}")
+    voltage_V = number("voltage_V", needed=True)
     if voltage_V > MAX_VOLTAGE_V:
         raise BadInput(source, f"{place}, column voltage_V", f"volts, found {voltage_V:g} (millivolts?)")
     soc, consumed_Ah = number("reported_soc"), number("consumed_Ah")

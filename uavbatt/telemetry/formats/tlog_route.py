@@ -6,7 +6,7 @@ Only frames of these messages are decoded, as light tuples with the attributes o
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,14 @@ from uavbatt.telemetry.formats.tlog_frames import FrameTable
 from uavbatt.telemetry.route import messages
 from uavbatt.telemetry.route.events import Event, play
 from uavbatt.telemetry.route.messages import NavigationListener
+
+
+class _Kind(NamedTuple):
+    """_Kind holds the frames of one message from the autopilot or from others, and what takes their messages."""
+
+    message_id: int
+    frames: FrameTable
+    take: Callable[[float, int, Any], None]
 
 
 class Layout(NamedTuple):
@@ -114,47 +122,48 @@ def navigation(
     parameters : (time [s], name, value) of the statements that count
     """
     listener = NavigationListener(keeps_all=True)
-    told = [*_of_autopilot(own, clock, listener), *_of_others(found, source, clock, listener)]
-    told.sort(key=lambda one: one[0])
-    play((event for _, event in told), parameters, listener.builder)
+    kinds = [*_of_autopilot(own, listener), *_of_others(found, source, listener)]
+    play(_in_order(kinds, clock), parameters, listener.builder)
     return listener.builder.timeline()
 
 
-def _of_autopilot(own: FrameTable, clock: TlogClock, listener: NavigationListener) -> list[tuple[int, Event]]:
-    """Return the autopilot's messages with their places in the file; of heartbeats only those that bring a change."""
-    told = []
+def _of_autopilot(own: FrameTable, listener: NavigationListener) -> Iterator[_Kind]:
+    """Yield the autopilot's messages; of heartbeats only those that bring a change."""
     for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
         frames = own.of(message_id)
         if message_id == messages.HEARTBEAT:
             frames = frames.at(_changes(frames))
-        for start, at_s, message in _decoded_frames(frames, message_id, clock):
-            told.append((start, (at_s, listener.take, (message_id, message))))
-    return told
+        yield _Kind(message_id, frames, listener.take)
 
 
-def _of_others(
-    found: FrameTable, source: int, clock: TlogClock, listener: NavigationListener
-) -> list[tuple[int, Event]]:
-    """Return what other stations said of missions to the autopilot."""
+def _of_others(found: FrameTable, source: int, listener: NavigationListener) -> Iterator[_Kind]:
+    """Yield what other stations said of missions to the autopilot."""
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
-    told = []
     for message_id in messages.OF_OTHERS if len(others.start) else ():
-        for start, at_s, message in _decoded_frames(others.of(message_id), message_id, clock):
-            if message.target_system == source >> 8 and message.target_component in (_ALL_COMPONENTS, source & 0xFF):
-                told.append((start, (at_s, listener.take_other, (message_id, message))))
-    return told
+        frames = others.of(message_id)
+        said = _records(frames, LAYOUTS[message_id])
+        is_to_it = np.isin(said["target_component"], (_ALL_COMPONENTS, source & 0xFF))
+        yield _Kind(message_id, frames.at(is_to_it & (said["target_system"] == source >> 8)), listener.take_other)
 
 
-def _decoded_frames(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
-    """Yield place in the file, time [s] and message of each frame."""
-    return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
+def _in_order(kinds: Sequence[_Kind], clock: TlogClock) -> Iterator[Event]:
+    """Yield the messages of all kinds as events, as they lie in the file.
+
+    An event is made when it is asked for: a hundred thousand of them at once would keep the garbage collector busy.
+    """
+    start = np.concatenate([kind.frames.start for kind in kinds])
+    said = [message for kind in kinds for message in _decoded(kind.frames, kind.message_id)]
+    times_s = [time_s for kind in kinds for time_s in clock.times_s(kind.frames)]
+    of_kind = np.repeat(np.arange(len(kinds)), [len(kind.frames.start) for kind in kinds]).tolist()
+    for place in np.argsort(start, kind="stable").tolist():
+        kind = kinds[of_kind[place]]
+        yield times_s[place], kind.take, (kind.message_id, said[place])
 
 
-def _decoded(frames: FrameTable, message_id: int) -> list[Any]:
+def _decoded(frames: FrameTable, message_id: int) -> Iterator[Any]:
+    """Return the messages of the frames as light tuples."""
     layout = LAYOUTS[message_id]
-    if not len(frames.start):
-        return []
-    return [layout.message(*said) for said in _records(frames, layout).tolist()]
+    return map(layout.message._make, _records(frames, layout).tolist())
 
 
 def _records(frames: FrameTable, layout: Layout) -> Any:
