@@ -48,9 +48,10 @@ def planned(
     remembered: PackHealth | None = None,
     reserve_soc: float = 0.0,
     ambient_C: float = 25.0,
+    settings: ReturnSettings = SETTINGS,
 ) -> MissionPlan:
     """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah."""
     battery = battery_file.read_battery("lipo-generic")
     size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
-    asked = PlannedMission(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
+    asked = PlannedMission(mission(*items), HOME, settings, POWERS, wind or Wind(0.0, 0.0))
     return make_route_plan(battery, size, asked, ambient_C, reserve_soc=reserve_soc, remembered=remembered)

@@ -121,7 +121,9 @@ class ReturnSettings:
     land_fast_ms: float = NAN  # from above home down to land_slow_below_m; NaN: descent_ms
     return_climb_min_m: float = NAN  # climbs at least so much before it returns (RTL_CLIMB_MIN)
     return_cone_slope: float = NAN  # climbs no higher than so many metres a metre of distance home; 0 or NaN: no cone
+    return_cone_within_m: float = NAN  # the cone counts only so near home; NaN: everywhere
     return_reason: str = ""  # why the way home is not straight, if it is not (rally points, a mission's landing)
+    is_px4: bool = False  # what is not known is PX4's default, else ArduCopter's
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,6 +55,7 @@ class Kind(Enum):
     ENDS_SOON = auto()
     ALARM = auto()
     TURN_BACK = auto()
+    MAY_NOT_LAND = auto()
     # The link to the vehicle, and several batteries on it.
     NO_TELEMETRY = auto()
     LATE = auto()

@@ -19,6 +19,7 @@ NAN = math.nan
 # An alarm by the median is late in half of the flights. At 17.5 % it was never late on the measured flights, and a
 # minute early at the median; a smaller value is safer and earlier.
 ALARM_RISK = 0.175
+IN_TIME = 0.05  # a route with a smaller risk to end before its touchdown needs no turn-back
 
 
 class Status(StrEnum):
@@ -242,6 +243,7 @@ class Route:
         turn_back_lo_s: 5 % point.
         turn_back_hi_s: 95 % point.
         reason: why the route was not used, or why there is no turn-back.
+        is_returning: the aircraft flies home or lands already.
     """
 
     load: str
@@ -256,6 +258,7 @@ class Route:
     turn_back_lo_s: float = NAN
     turn_back_hi_s: float = NAN
     reason: str = ""
+    is_returning: bool = False
 
     def later(self, age_s: float) -> Route:
         """Return the same as it stands `age_s` [s] later."""

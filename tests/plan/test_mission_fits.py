@@ -11,7 +11,7 @@ from route_rig import planned, to
 
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import UsageError
-from uavbatt.navigation import Action, MissionItem, Wind
+from uavbatt.navigation import Action, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import rested
 from uavbatt.plan.mission import MissionPlan
 from uavbatt.prediction import sampling
@@ -53,7 +53,8 @@ def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
     assert charges == sorted(charges, reverse=True)
     assert [leg.item for leg in found.legs] == [1, 2, 3, -1, -1, -1]
     assert found.legs[-1].end_s == pytest.approx(found.here.route.left_s, rel=0.02)
-    assert found.legs[-1].soc == pytest.approx(found.here.route.soc, abs=0.02)
+    last, route = found.legs[-1], found.here.route
+    assert (last.soc, last.soc_lo, last.soc_hi) == (route.soc, route.soc_lo, route.soc_hi)
     assert all(leg.soc_lo <= leg.soc <= leg.soc_hi for leg in found.legs)
 
 
@@ -129,3 +130,9 @@ def test_the_hover_that_is_left_is_the_pack_s_and_not_the_mission_s() -> None:
     near, far = planned(to(1, 0.0, 20.0, 40.0)).here, planned(to(1, 0.0, 300.0, 40.0)).here
     assert near.route.left_s + near.spare_s == pytest.approx(far.route.left_s + far.spare_s, rel=0.1)
     assert near.spare_lo_s > 3.0 * near.route.left_s
+
+
+def test_a_plan_names_the_autopilot_whose_defaults_it_uses() -> None:
+    far = planned(to(1, 0.0, 300.0, 40.0), settings=ReturnSettings(cruise_ms=5.0, is_px4=True))
+    assert "PX4's defaults are used for climb, descent, return height, landing" in far.warnings
+    assert max(leg.place.height_m for leg in far.legs) == 60.0

@@ -15,6 +15,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, EstimatorMemory
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
+from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
@@ -195,6 +196,27 @@ def test_on_the_way_home_the_route_is_the_way_home() -> None:
     said = route(replace(known(leg_to(350.0)), mode=Mode.RETURN))
     assert said.left_s == pytest.approx(FAR_M / 8.0 + 340.0 / 1.5 + 10.0 / 0.5, rel=0.1)
     assert said.soc == pytest.approx(said.home_soc, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("mode", "action", "said"),
+    [
+        (Mode.MISSION, Action.WAYPOINT, Kind.TURN_BACK),
+        (Mode.MISSION, Action.RETURN, Kind.MAY_NOT_LAND),
+        (Mode.RETURN, Action.WAYPOINT, Kind.MAY_NOT_LAND),
+        (Mode.LAND, Action.WAYPOINT, None),
+    ],
+)
+def test_an_aircraft_that_flies_home_or_lands_is_not_told_to_turn_back(
+    mode: Mode, action: Action, said: Kind | None
+) -> None:
+    item = leg_to(350.0) if action is Action.WAYPOINT else MissionItem(1, action)
+    too_far = replace(known(item, mode=mode), position=at(9000.0, 350.0))
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimate, remaining = run(estimator, [row(k, too_far) for k in range(ROWS)])[-1]
+    assert remaining.route is not None and remaining.route.turn_back_lo_s == 0.0
+    kinds = {kind_of(warning) for warning in estimate.warnings}
+    assert kinds & {Kind.TURN_BACK, Kind.MAY_NOT_LAND} == ({said} if said is not None else set())
 
 
 @pytest.mark.parametrize(("north_ms", "east_ms", "is_known"), [(0.0, -8.0, True), (8.0, 0.0, False), (0.0, 0.0, False)])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
-from uavbatt.navigation import Action, Frame, Home, MissionItem, SpeedKind, Wind
+from uavbatt.navigation import Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
 from uavbatt.prediction.route_legs import Phase, Point
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, way_home
 from uavbatt.simulate.route import route_flight
@@ -107,6 +107,21 @@ def test_the_way_home_climbs_first_and_never_descends_to_its_height() -> None:
     assert low[0].end.height_m == 30.0
     assert high[0].end.height_m == 60.0
     assert high[0].run_m == pytest.approx(100.0)
+
+
+def test_a_px4_that_states_nothing_climbs_higher_than_an_arducopter() -> None:
+    far = Point(0.0, 300.0, 10.0)
+    assert way_home(far, ReturnSettings())[0].end.height_m == 15.0
+    assert way_home(far, ReturnSettings(is_px4=True))[0].end.height_m == 60.0
+
+
+def test_the_cone_of_a_px4_counts_only_near_home() -> None:
+    """An ArduCopter uses its cone at any distance."""
+    cone = replace(SETTINGS, return_cone_slope=0.5)
+    px4 = replace(cone, return_cone_within_m=10.0)
+    near, far = Point(0.0, 8.0, 2.0), Point(0.0, 40.0, 2.0)
+    assert [way_home(at, px4)[0].end.height_m for at in (near, far)] == [4.0, 30.0]
+    assert [way_home(at, cone)[0].end.height_m for at in (near, far)] == [4.0, 20.0]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from uavbatt.navigation import Action, Frame, MissionItem, Mode, SpeedKind
 from uavbatt.telemetry.route import commands
+from uavbatt.telemetry.route.builder import NavigationBuilder
 from uavbatt.telemetry.route.commands import Fields, item_fields, mission, mission_item
 from uavbatt.telemetry.route.modes import copter_mode, copter_mode_named, px4_mode, px4_state
 from uavbatt.telemetry.route.settings import return_settings
@@ -196,6 +197,26 @@ def test_settings_of_px4() -> None:
     assert (found.cruise_ms, found.climb_ms, found.return_height_m) == (5.0, 3.0, 60.0)
     assert found.return_final_m == 30.0  # it waits there and does not land
     assert found.return_cone_slope == pytest.approx(1.0)
+    assert found.return_cone_within_m == 10.0  # RTL_MIN_DIST, if nobody states it
+    assert return_settings({"RTL_CONE_ANG": 45.0, "RTL_MIN_DIST": 20.0}).return_cone_within_m == 20.0
+    assert math.isnan(return_settings({"RTL_CONE_SLOPE": 3.0}).return_cone_within_m)  # ArduPilot's cone has no limit
+
+
+def test_the_autopilot_gives_the_defaults_whenever_it_is_heard() -> None:
+    early, late = NavigationBuilder(), NavigationBuilder()
+    early.autopilot(0.0, is_px4=True)
+    early.parameter(1.0, "RTL_RETURN_ALT", 40.0)
+    late.parameter(0.0, "RTL_RETURN_ALT", 40.0)
+    late.autopilot(1.0, is_px4=True)
+    assert repr(early.now.settings) == repr(late.now.settings)
+    assert (late.now.settings.is_px4, late.now.settings.return_height_m) == (True, 40.0)
+
+
+def test_a_parameter_heard_after_a_restart_adds_to_those_of_before() -> None:
+    resumed = NavigationBuilder()
+    resumed.settings(0.0, {"RTL_ALT": 3000.0})
+    resumed.parameter(1.0, "WPNAV_SPEED", 750.0)
+    assert (resumed.now.settings.return_height_m, resumed.now.settings.cruise_ms) == (30.0, 7.5)
 
 
 def test_a_way_home_that_may_lead_elsewhere_says_so() -> None:

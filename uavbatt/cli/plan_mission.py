@@ -54,6 +54,7 @@ def plan_mission(
     settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
+    settings = replace(settings, is_px4=not read.mission.has_home_item)
     planned = PlannedMission(read.mission, read.home, settings, flown.powers, air)
     found = make_route_plan(content, resolved, planned, *conditions, remembered)
     report, summary = outputs

@@ -38,6 +38,7 @@ WITHOUT_AFTER_S = 20.0  # in a flight that has had no number yet
 # Kind of a warning of the estimate -> its short text behind "Battery N: ", at most 37 characters.
 WARNINGS: dict[Kind, str] = {
     Kind.TURN_BACK: "turn back now",
+    Kind.MAY_NOT_LAND: "may end before touchdown",
     Kind.LATE: "telemetry comes late",
     Kind.ENDS_SOON: "voltage nears its cut-off: land",
     Kind.CELLS_NOT_STATED: "cells not stated: another count fits",

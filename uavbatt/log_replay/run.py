@@ -119,7 +119,8 @@ class RouteForecasts(NamedTuple):
     @property
     def turn_back_now_s(self) -> float:
         """Return the time of the first warning "turn back now" [s]; NaN if there was none."""
-        return next((time_s for time_s, route in self.rows if route.must_turn_back_now), NAN)
+        now = (time_s for time_s, route in self.rows if route.must_turn_back_now and not route.is_returning)
+        return next(now, NAN)
 
     @property
     def why_no_route(self) -> str:

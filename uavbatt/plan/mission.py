@@ -27,12 +27,12 @@ from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
 from uavbatt.prediction.route_ahead import Ahead
-from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
+from uavbatt.prediction.route_forecast import Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
-from uavbatt.records import Route
+from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown
 BEYOND = 1.5  # longest hovers of a full pack: how long the hover at home is looked at
@@ -144,7 +144,9 @@ def make_route_plan(
     remarks = (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned))
     warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
-    return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying, end_s), turning, rows, warnings)
+    legs = _leg_ends(ahead, flying, end_s)  # at the planned times; touchdown counts early and late ones
+    touchdown = replace(legs[-1], soc=here.route.soc, soc_lo=here.route.soc_lo, soc_hi=here.route.soc_hi)
+    return MissionPlan(resolved, planned, start_soc, here, (*legs[:-1], touchdown), turning, rows, warnings)
 
 
 def _fit(
@@ -237,4 +239,5 @@ def _speeds_remark(planned: PlannedMission) -> str:
         "return height": settings.return_height_m, "landing": settings.land_ms,
     }  # fmt: skip
     missing = [name for name, value in unknown.items() if not math.isfinite(value)]
-    return f"ArduCopter's defaults are used for {', '.join(missing)}" if missing else ""
+    maker = "PX4" if settings.is_px4 else "ArduCopter"
+    return f"{maker}'s defaults are used for {', '.join(missing)}" if missing else ""

@@ -16,7 +16,7 @@ from uavbatt.prediction.forecast import no_forecast
 from uavbatt.prediction.forecaster import Forecaster
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.prediction.voltage_bound import ALARM_SHARE, FALLS_FASTER, bounded
-from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
+from uavbatt.records import ALARM_RISK, IN_TIME, NAN, Estimate, Remaining, Route, Sample, Status
 
 ALARM_S = 120.0
 ALARM = Notice(
@@ -27,6 +27,9 @@ ENDS_SOON = Notice(  # used if no time is known
 )
 TURN_BACK = Notice(
     "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %", Kind.TURN_BACK
+)
+MAY_NOT_LAND = Notice(  # instead of it, once the aircraft flies home or lands
+    "the flight may end before touchdown, at a risk of 5 % or more", Kind.MAY_NOT_LAND
 )
 
 
@@ -54,9 +57,16 @@ class Pending(NamedTuple):
         is_unsaid = not math.isfinite(remaining.remaining_s) and sample.armed is not False  # in flight
         if is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S:
             found = replace(found, warnings=(*found.warnings, ENDS_SOON))
-        if remaining.route is not None and remaining.route.must_turn_back_now:
-            found = replace(found, warnings=(*found.warnings, TURN_BACK))
-        return found, remaining
+        return replace(found, warnings=(*found.warnings, *_of_route(remaining.route))), remaining
+
+
+def _of_route(route: Route | None) -> tuple[Notice, ...]:
+    """Return the warning of a route that may end too early, if there is one."""
+    if route is None:
+        return ()
+    if route.is_returning:
+        return (MAY_NOT_LAND,) if route.risk > IN_TIME else ()
+    return (TURN_BACK,) if route.must_turn_back_now else ()
 
 
 def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:

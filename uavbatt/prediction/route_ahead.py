@@ -14,7 +14,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Mode, Navigation
-from uavbatt.prediction.route_legs import Leg, Point, legs_table
+from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
@@ -78,6 +78,13 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
     rest = _rest_by_plan(way, progress, time_s) if here is None else _rest_from(way, progress, here, time_s)
     begin = here or progress.path.legs[progress.at].begin
     return Ahead(begin, rest, progress.path.lands and float(rest.length_s.sum()) < ENDLESS_S)
+
+
+def is_returning(progress: Progress, navigation: Navigation) -> bool:
+    """Return True if the aircraft flies home or lands already, by its mode or by the item of its mission."""
+    if navigation.mode is Mode.MISSION and progress.is_on_path:
+        return progress.leg.phase in (Phase.HOME, Phase.LANDING)
+    return navigation.mode in (*RETURNS, Mode.LAND)
 
 
 def way_of(progress: Progress) -> LegTiming:

@@ -15,13 +15,13 @@ from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
-from uavbatt.prediction.route_ahead import Ahead, ahead, home_now, why_no_home
+from uavbatt.prediction.route_ahead import Ahead, ahead, home_now, is_returning, why_no_home
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
-from uavbatt.records import Route
+from uavbatt.records import IN_TIME, Route
 
 NAMES = {
     LearnedLoad: "learned",
@@ -30,7 +30,6 @@ NAMES = {
     LoggedLoad: "log",
     ConstantLoad: "stated",
 }
-IN_TIME = 0.05  # a route with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back later
 # Route and way home cost as much work as the end itself. They are worked out anew after this share of the time at the
 # typical power, but not within 4 s and at least every 10 s; in between the last answer counts down.
@@ -46,6 +45,7 @@ class ToCome(NamedTuple):
     reason: str  # why the route is not used
     route: Ahead | None
     home_reason: str  # why the way home is not known; empty if it is known
+    is_returning: bool = False
 
 
 class RouteQuestion(NamedTuple):
@@ -56,6 +56,7 @@ class RouteQuestion(NamedTuple):
     route_s: Array | None  # touchdown of each draw
     route_soc: Array | None
     turning: Turning | None
+    is_returning: bool = False
 
 
 class WaysState(NamedTuple):
@@ -77,6 +78,7 @@ def powers_of(load: Load) -> Powers:
 
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
     """Return the load to come: the route's, if the route is known and the user has not stated another load."""
+    returning = is_returning(progress, navigation)
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
@@ -85,10 +87,10 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
         route = route if isinstance(route, str) else UNTOLD_POWER
         home_reason = home_reason or UNTOLD_POWER
     if isinstance(route, str):
-        return ToCome(load, name, route, None, home_reason)
+        return ToCome(load, name, route, None, home_reason, returning)
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd), "route"
-    return ToCome(load, name, "", route, home_reason)
+    return ToCome(load, name, "", route, home_reason, returning)
 
 
 def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
@@ -101,7 +103,7 @@ def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: fl
 
 def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysState:
     """Return what is known of route and way home at a time [s]."""
-    told = (known.name, known.reason, known.home_reason)
+    told = (known.name, known.reason, known.home_reason, known.is_returning)
     return WaysState(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
 
 
@@ -128,7 +130,7 @@ def fly_ways(
     The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
     here; None if it is not known.
     """
-    asked = RouteQuestion(known.name, _reason(known), None, None, None)
+    asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning)
     scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
@@ -158,7 +160,7 @@ def _reason(known: ToCome) -> str:
 
 def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
     """Return what a forecast says of route, way home and turn-back, by the simulated ends of the flight [draws]."""
-    said = Route(asked.load, reason=asked.reason)
+    said = Route(asked.load, reason=asked.reason, is_returning=asked.is_returning)
     if asked.route_s is not None and asked.route_soc is not None:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
         risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))

@@ -20,8 +20,6 @@ MOST_LEGS = 2000
 ENDLESS_S = 1e6  # a loiter without end
 SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
-# ArduCopter's defaults, used if the vehicle does not state its own.
-CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
 CIRCLE_RADIUS_M = 10.0
 ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
@@ -44,6 +42,19 @@ class _Speeds(NamedTuple):
     cruise_ms: float
     climb_ms: float
     descent_ms: float
+
+
+class _Defaults(NamedTuple):
+    """_Defaults holds an autopilot's own speeds and heights, used where the vehicle does not state them."""
+
+    speeds: _Speeds
+    return_height_m: float
+    land_ms: float
+    slow_below_m: float
+
+
+ARDUCOPTER = _Defaults(_Speeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
+PX4 = _Defaults(_Speeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
 
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
@@ -85,29 +96,37 @@ def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
 
 def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
     """Return the height at which the autopilot flies home; it is never below the present height."""
-    asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
-    cone = finite_or(settings.return_cone_slope, math.inf)
-    asked_m = min(asked_m, cone * run_m)
+    asked_m = settings.return_height_m
+    if not math.isfinite(asked_m):
+        asked_m = _defaults(settings).return_height_m
+    if run_m <= finite_or(settings.return_cone_within_m, math.inf):
+        asked_m = min(asked_m, finite_or(settings.return_cone_slope, math.inf) * run_m)
     return max(begin.height_m + finite_or(settings.return_climb_min_m, 0.0), asked_m, begin.height_m)
 
 
 def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
     """Return the legs straight down from a point to the ground, the last metres slowly."""
-    speeds = _speeds(settings)
-    slow_m = min(finite_or(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
+    speeds, defaults = _speeds(settings), _defaults(settings)
+    slow_m = min(finite_or(settings.land_slow_below_m, defaults.slow_below_m), max(above.height_m, 0.0))
     low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
-    fast_ms, land_ms = finite_or(settings.land_fast_ms, speeds.descent_ms), finite_or(settings.land_ms, LAND_MS)
+    fast_ms = finite_or(settings.land_fast_ms, speeds.descent_ms)
+    land_ms = finite_or(settings.land_ms, defaults.land_ms)
     return (
         Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, fast_ms),
         Leg(seq, Phase.LANDING, low, ground, 0.0, 1.0, speeds.climb_ms, land_ms),
     )
 
 
+def _defaults(settings: ReturnSettings) -> _Defaults:
+    return PX4 if settings.is_px4 else ARDUCOPTER
+
+
 def _speeds(settings: ReturnSettings) -> _Speeds:
+    defaults = _defaults(settings).speeds
     return _Speeds(
-        finite_or(settings.cruise_ms, CRUISE_MS),
-        finite_or(settings.climb_ms, CLIMB_MS),
-        finite_or(settings.descent_ms, DESCENT_MS),
+        finite_or(settings.cruise_ms, defaults.cruise_ms),
+        finite_or(settings.climb_ms, defaults.climb_ms),
+        finite_or(settings.descent_ms, defaults.descent_ms),
     )
 
 

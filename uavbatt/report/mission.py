@@ -10,8 +10,8 @@ import numpy as np
 
 from uavbatt import __version__
 from uavbatt.plan.mission import MissionPlan, RouteFit
-from uavbatt.prediction.route_forecast import IN_TIME
 from uavbatt.prediction.route_legs import Point
+from uavbatt.records import IN_TIME
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,

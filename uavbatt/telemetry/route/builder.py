@@ -24,7 +24,8 @@ class NavigationBuilder:
         self._known: dict[str, Any] = {name: getattr(NOWHERE, name) for name in Navigation.__slots__}
         self._built: Navigation | None = NOWHERE
         self._kept: list[Navigation] | None = [] if keeps_all else None
-        self._parameters: dict[str, float] = {}
+        self._parameters: Mapping[str, float] = {}
+        self._is_px4 = False
         self._stated, self._rally_points = NOWHERE.settings, 0  # by the parameters alone, and by the mission protocol
         self._airspeed_ms, self._airspeed_at_s = NAN, -math.inf
 
@@ -89,13 +90,19 @@ class NavigationBuilder:
         """Take a vehicle parameter, if it is of speeds or of the way home."""
         if name not in settings.NAMES:
             return
-        self._parameters[name] = value
-        self.settings(time_s, self._parameters)
+        self.settings(time_s, {**self._parameters, name: value})
 
     def settings(self, time_s: float, parameters: Mapping[str, float]) -> None:
         """Take all parameters that are known now."""
-        self._stated = settings.return_settings(parameters)
+        self._parameters = parameters
+        self._stated = settings.return_settings(parameters, self._is_px4)
         self._settle(time_s)
+
+    def autopilot(self, time_s: float, is_px4: bool) -> None:
+        """Take the make of the autopilot, whose defaults stand for parameters that are not known."""
+        if is_px4 is not self._is_px4:
+            self._is_px4 = is_px4
+            self.settings(time_s, self._parameters)
 
     def rally(self, time_s: float, points: int) -> None:
         """Take the number of rally points in the autopilot: with rally points the place of return is unknown."""

@@ -143,6 +143,7 @@ class NavigationListener:
 
     def _heartbeat(self, time_s: float, message: Any) -> None:
         self._is_px4 = message.autopilot == AUTOPILOT_PX4
+        self.builder.autopilot(time_s, self._is_px4)
         self.builder.mode(time_s, mode_of(message))
 
     def _current(self, time_s: float, message: Any) -> None:

@@ -1,7 +1,8 @@
 """Vehicle parameters of speeds and of the way home -> `ReturnSettings`.
 
 ArduCopter until 4.6 counts in centimetres (WPNAV_SPEED, RTL_ALT), from 4.7 on in metres under new names (WP_SPD,
-RTL_ALT_M); PX4 counts in metres. 0 of an ArduCopter speed is "the speed of the mission".
+RTL_ALT_M); PX4 counts in metres. 0 of an ArduCopter speed is "the speed of the mission". PX4 uses its cone only within
+RTL_MIN_DIST of home, and climbs to the whole return height elsewhere; older versions used it at any distance.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _LAND = (("LAND_SPD_MS", 1.0), ("LAND_SPEED", _CENTI), ("MPC_LAND_SPEED", 1.0))
 _LAND_FAST = (("LAND_SPD_HIGH_MS", 1.0), ("LAND_SPEED_HIGH", _CENTI))
 _LAND_SLOW_BELOW = (("LAND_ALT_LOW_M", 1.0), ("LAND_ALT_LOW", _CENTI), ("MPC_LAND_ALT2", 1.0))
 _CONE_SLOPE, _CONE_ANGLE_DEG = "RTL_CONE_SLOPE", "RTL_CONE_ANG"
+_PX4_MIN_DIST, _PX4_MIN_DIST_M = "RTL_MIN_DIST", 10.0
 _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
 _RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
 _ALL = (
@@ -32,12 +34,12 @@ _ALL = (
 )  # fmt: skip
 
 NAMES = frozenset(name for names in _ALL for name, _ in names) | {
-    _CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE,
+    _CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE,
 }  # fmt: skip
 """The parameters that this module reads."""
 
 
-def return_settings(known: Mapping[str, float]) -> ReturnSettings:
+def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnSettings:
     """Return speeds and way home from the known parameters, by name."""
     return ReturnSettings(
         cruise_ms=_positive(known, _CRUISE),
@@ -52,7 +54,9 @@ def return_settings(known: Mapping[str, float]) -> ReturnSettings:
         land_fast_ms=_positive(known, _LAND_FAST),
         return_climb_min_m=_first(known, _RETURN_CLIMB_MIN),
         return_cone_slope=_cone_slope(known),
+        return_cone_within_m=known.get(_PX4_MIN_DIST, _PX4_MIN_DIST_M) if _CONE_ANGLE_DEG in known else NAN,
         return_reason=_reason(known),
+        is_px4=is_px4,
     )
 
 
