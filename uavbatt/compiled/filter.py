@@ -16,7 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
-from uavbatt.compiled.jit import as_numbers, borrowed, compiled, share
+from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.compiled.member import predict, settle, update
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
@@ -155,7 +155,7 @@ def run(
     of the last row taken in and ambient temperature at each row, what each row shows [n, 4] as `Innovation` has it, and
     the state after the last row: currents of the last row and block [A], the open block, the air.
     """
-    n, last, pack = rows.shape[1], 0, borrowed(pack)
+    n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
     in_force, times_s, ambients_C, shown = np.zeros(n, np.int64), np.empty(n), np.empty(n), np.full((n, 4), np.nan)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba import types
-from numba.extending import intrinsic, overload, overload_attribute, overload_method, register_jitable
+from numba.extending import overload, overload_attribute, overload_method, register_jitable
 
 from uavbatt.battery import equations, model, pack, state_space
 from uavbatt.battery.pack import Installation
@@ -55,44 +55,6 @@ def as_numbers(record: Any) -> Any:
     if np.ndim(record):
         return np.ascontiguousarray(record, dtype=float)
     return float(record)
-
-
-def borrowed(record: Any) -> Any:
-    """Return a record whose arrays are borrowed from the caller, who holds them. For compiled code only.
-
-    numba counts the owners of every array of a record at each copy of it, a fifth of the filter's time.
-    Borrowed arrays have no counter.
-    """
-    raise NotImplementedError
-
-
-def _without_counter_of(_: Any, array: Any) -> Any:
-    """Return type and code of `_without_counter`: the same array, its counter null."""
-
-    def code(context: Any, builder: Any, __: Any, given: Any) -> Any:
-        view = context.make_array(array)(context, builder, given[0])
-        view.meminfo = view.meminfo.type(None)
-        return view._getvalue()
-
-    return array(array), code
-
-
-_without_counter = intrinsic(_without_counter_of)
-
-
-def _borrowed(record: Any) -> Any:
-    """Return the source of `borrowed` for this kind of record."""
-    if isinstance(record, types.Array):
-        return lambda record: _without_counter(record)
-    if not isinstance(record, types.BaseNamedTuple):
-        return lambda record: record
-    values = ", ".join(f"borrowed(record.{name})" for name in record.instance_class._fields)
-    scope: dict[str, Any] = {"made": record.instance_class, "borrowed": borrowed}
-    exec(f"def whole(record):\n    return made({values})", scope)
-    return scope["whole"]
-
-
-overload(borrowed, strict=False)(_borrowed)
 
 
 def _replace(record: Any, **given: Any) -> Any:
