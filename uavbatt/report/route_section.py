@@ -53,7 +53,8 @@ def _words(forecasts: Sequence[tuple[float, Route]], turn_s: float) -> str:
     words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
     if math.isfinite(last.home_soc) and not last.must_turn_back_now:  # too late, home is no promise any more
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
-        words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
+        how = "it was expected at home" if last.is_returning else "turning back would have brought it home"
+        words.append(f"At {duration(time_s)} {how} with {charge}.")
     if not words:
         reasons = Counter(route.reason for _, route in forecasts if route.reason).most_common(1)
         words.append(f"Nothing was known of the way home: {reasons[0][0] if reasons else 'no position'}.")
