@@ -79,10 +79,10 @@ class KnownSize(NamedTuple):
         first = next((s for s in coming if math.isfinite(s.voltage_V)), None)
         if first is None:
             return None
-        seen = self._replace(first_A=first.current_A, told=max(self.told, _told(first)))
-        guessed, *_ = seen._counts(first.voltage_V)
+        updated = self._replace(first_A=first.current_A, told=max(self.told, _told(first)))
+        guessed, *_ = updated._counts(first.voltage_V)
         voltages = FirstVoltages(first.voltage_V)
-        return size_of_pack(self.battery, self.options, self.facts, guessed, seen.source_of_count, voltages=voltages)
+        return size_of_pack(self.battery, self.options, self.facts, guessed, updated.source_of_count, voltages=voltages)
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed: no row of the new one was seen yet."""

@@ -105,8 +105,8 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    known = (*_known_words(fit), *(_pack_words(fit) if has_spread else ()))
-    return FittedBattery(file, known, unknown, doubtful)
+    determined = (*_known_words(fit), *(_pack_words(fit) if has_spread else ()))
+    return FittedBattery(file, determined, unknown, doubtful)
 
 
 def _solve(stack: Stack, tests: int, flights: int, progress: Callable[[int], None] | None) -> BatteryFit:
@@ -207,9 +207,9 @@ def _known_words(fit: BatteryFit) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _pack_words(found: BatteryFit) -> tuple[str, ...]:
+def _pack_words(fit: BatteryFit) -> tuple[str, ...]:
     """Return in words how much the packs of the flights differ."""
-    resistance, capacity = np.std(found.own[:, 1:], axis=0)
+    resistance, capacity = np.std(fit.own[:, 1:], axis=0)
     return (f"packs of the flights differ by {resistance:.0%} in resistance, {capacity:.0%} in capacity (sd)",)
 
 

@@ -114,8 +114,8 @@ def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) 
     flat = Misfit(np.nan_to_num(gap_K), at[0], at[1], np.zeros_like(gap_K), felt)
     warmth = _most_probable(flat, usual, least, neighbours=False)
     resting = (stack.compare & ~loaded)[:, records]
-    seen = resting.any(axis=0)
-    means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[seen] / resting.sum(axis=0)[seen]
+    has_rest = resting.any(axis=0)
+    means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[has_rest] / resting.sum(axis=0)[has_rest]
     starts_C = stack.start_temp_C[records]
     one_more = np.append(means, USUAL_REST_CELL_V * cells)  # counted as one record, so that two do not decide alone
     return Wander(

@@ -41,7 +41,7 @@ def fleet_report(overview: Overview, battery: str, remarks: Sequence[tuple[str, 
     battery : name of the battery file of the run; remarks : names and values of the run
     """
     ranked = _ranked(overview.groups.values())
-    flown = [
+    parts = [
         section("Packs over time", *_health(ranked)),
         section("Flights that need a look", *_look(overview)),
         section("Forecasts against the truth", *_accuracy(overview)),
@@ -53,7 +53,7 @@ def fleet_report(overview: Overview, battery: str, remarks: Sequence[tuple[str, 
         f"Fleet: {whose}",
         "uavbatt fleet",
         _answer(overview, ranked, battery),
-        *(flown if overview.flights or not overview.failed else []),
+        *(parts if overview.flights or not overview.failed else []),
         *([section("Logs that could not be replayed", _failed(overview))] if overview.failed else []),
         section("The run", facts([("battery file", battery), *remarks])),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",

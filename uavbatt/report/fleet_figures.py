@@ -71,9 +71,9 @@ def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
     def draw(axes: Axes) -> None:
         axes.axhline(0.0, color=plot.FAINT, linewidth=0.8)
         for index, (_, values) in enumerate(by_checkpoint):
-            shown = np.sort(values)[_thinned(len(values))]
-            aside = _SPREAD * np.sin(2.4 * np.arange(len(shown)))  # even, and the same in every run
-            axes.plot(index + aside, shown, "o", color=plot.SKY, markersize=3.0, alpha=0.8)
+            errors_s = np.sort(values)[_thinned(len(values))]
+            aside = _SPREAD * np.sin(2.4 * np.arange(len(errors_s)))  # even, and the same in every run
+            axes.plot(index + aside, errors_s, "o", color=plot.SKY, markersize=3.0, alpha=0.8)
             low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
             axes.plot([index, index], [low, high], color=plot.BLUE, linewidth=5.0, solid_capstyle="butt")
             axes.plot([index - 0.3, index + 0.3], [middle, middle], color=plot.INK)

@@ -26,8 +26,8 @@ def route_map(
     def draw(axes: Axes) -> None:
         for points, colour, words in ((to_come, plot.SKY, "route"), (track, plot.BLUE, "flown")):
             if len(points) > 1:
-                shown = points[:: max(len(points) // MOST_POINTS, 1)]
-                axes.plot([p.east_m for p in shown], [p.north_m for p in shown], color=colour, label=words)
+                thinned = points[:: max(len(points) // MOST_POINTS, 1)]
+                axes.plot([p.east_m for p in thinned], [p.north_m for p in thinned], color=colour, label=words)
         axes.plot([0.0], [0.0], "s", color=plot.INK, label="home")
         if turning is not None:
             axes.plot([turning.east_m], [turning.north_m], "o", color=plot.RED, label="turn back")

@@ -63,22 +63,22 @@ def _over_instants(claim: Claim) -> Html:
 
 def over_ambient(claims: Sequence[Claim]) -> Html:
     """Draw the bias nearest to the limit at each ambient temperature, with its interval where there is one."""
-    judged = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
-    if not judged:
+    with_limit = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
+    if not with_limit:
         return Html("")
-    limit, middle = judged[0].limit * 1000.0, [nearest(c) for c in judged]
+    limit, middle = with_limit[0].limit * 1000.0, [nearest(c) for c in with_limit]
 
     def draw(axes: Axes) -> None:
         axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} mV")
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         for verdict, marker in (("pass", "o"), ("fail", "X"), ("not enough data", "D")):
-            mine = [(c, i) for c, i in zip(judged, middle, strict=True) if c.verdict == verdict]
+            mine = [(c, i) for c, i in zip(with_limit, middle, strict=True) if c.verdict == verdict]
             if mine:
                 at, bias, half = np.array([[c.ambient_C, c.bias[i] * 1e3, c.half_width[i] * 1e3] for c, i in mine]).T
                 axes.errorbar(at, bias, yerr=np.nan_to_num(half), fmt=marker, color=COLOURS[verdict], markersize=5,
                               capsize=2.5, linewidth=1.2, label=verdict)  # fmt: skip
 
-    alt = f"Largest bias of the voltage at {len(judged)} ambient temperatures against the limit of ±{limit:g} mV."
+    alt = f"Largest bias of the voltage at {len(with_limit)} ambient temperatures against the limit of ±{limit:g} mV."
     chart = plot.panel(draw, alt, x="ambient temperature (°C)", y="model less tests (mV)", legend_columns=4)
     note = "At the instant that uses the most of the limit. No bar: a single run, its dispersion is not known."
     return figure(chart, "Voltage bias over ambient temperature", note)
