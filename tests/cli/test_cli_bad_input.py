@@ -241,12 +241,6 @@ def test_a_disk_that_is_full(folder: Path) -> None:
     assert files(folder) == {"out"}
 
 
-@pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])
-def test_calls_that_are_none(call: tuple[str, ...], folder: Path) -> None:
-    done = called(*call, folder=folder)
-    assert done.returncode == 2 and done.stdout == "" and "Traceback" not in done.stderr and done.stderr.strip()
-
-
 def test_an_output_that_was_there_is_kept_when_the_replay_fails(folder: Path) -> None:
     (folder / "f.csv").write_text(HEAD + ROWS + "30,nan,12\n")
     (folder / "out/a.jsonl").write_text("old\n")

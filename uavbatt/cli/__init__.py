@@ -54,11 +54,12 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):  # an ASCII stream gets escapes instead of other letters
         sys.stdout.reconfigure(errors="backslashreplace")
     from uavbatt.cli.app import app
+    from uavbatt.cli.usage import run
     from uavbatt.errors import UavbattError, terminal_line
 
     try:
         with _endings():
-            app(_completed(sys.argv[1:], {command.name for command in app.registered_commands}))
+            sys.exit(run(app, _completed(sys.argv[1:], {command.name for command in app.registered_commands})))
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)

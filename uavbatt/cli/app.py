@@ -13,7 +13,6 @@ app = typer.Typer(
     name="uavbatt",
     help="How long a drone can keep flying, how sure that number is, and why it can be trusted. "
     "`uavbatt LOG` replays a log.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

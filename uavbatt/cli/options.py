@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,8 +33,24 @@ def _page_name(report: Path | None) -> Path | None:
     return report
 
 
+def number_option(name: str, least: float, most: float, text: str) -> Any:
+    """Return an option that takes a number from `least` to `most`; NaN is none. `text` is its help."""
+    expected = f"a number from {least:g} to {most:g}" if math.isfinite(most) else f"a number of at least {least:g}"
+
+    def parse(given: str) -> float:
+        try:
+            number = float(given)
+        except ValueError:
+            number = NAN
+        if not least <= number <= most:
+            raise typer.BadParameter(f"expected {expected}, found {given}")
+        return number
+
+    return typer.Option(name, parser=parse, metavar="NUMBER", help=f"{text} Expects {expected}.")
+
+
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
-RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
+RESERVE = number_option("--reserve-soc", 0.0, 0.99, "State of charge that ends the flight.")
 UNCERTIFIED = typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
 BatteryOption = Annotated[str, BATTERY]
 CellsOption = Annotated[int | None, typer.Option("--cells", min=1, max=100, help="Cells in series.")]
@@ -42,7 +58,7 @@ CapacityOption = Annotated[float | None, typer.Option("--capacity-ah", help="Cap
 CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pack voltage that ends the flight [V].")]
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
-AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+AmbientOption = Annotated[float, number_option("--ambient-c", -40.0, 60.0, "Ambient temperature [°C].")]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.", callback=_page_name)]
 LoadOption = Annotated[str, typer.Option("--load", help="The load to come: learned, recent, log, or watts.")]
 VehicleOption = Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")]

@@ -24,6 +24,7 @@ from uavbatt.cli.options import (
     ReserveOption,
     UncertifiedOption,
     check_writable,
+    number_option,
     positive_or_nan,
     read_battery,
     say,
@@ -55,9 +56,7 @@ def plan(
         str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG, 6@270 is 6 m/s from west.")
     ] = None,
     ambient_c: AmbientOption = 20.0,
-    start_soc: Annotated[
-        float, typer.Option("--start-soc", min=0.01, max=1.0, help="State of charge at take-off, 0..1.")
-    ] = 1.0,
+    start_soc: Annotated[float, number_option("--start-soc", 0.01, 1.0, "State of charge at take-off.")] = 1.0,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
     cutoff_voltage: CutoffOption = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     WindOption,
     check_writable,
+    number_option,
     positive_or_nan,
     read_battery,
     remark,
@@ -35,23 +37,21 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="FILE.tlog, FILE.BIN or FILE.csv")],
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[
-        float, typer.Option("--power-w", min=1.0, help="Mean power [W]; with --mission, that of the hover.")
+        float, number_option("--power-w", 1.0, math.inf, "Mean power [W]; with --mission, that of the hover.")
     ] = 200.0,
     mission: Annotated[
         Path | None, typer.Option("--mission", help="Mission to fly: a .waypoints or .plan file.")
     ] = None,
     wind: WindOption = None,
     ambient_c: AmbientOption = 20.0,
-    start_soc: Annotated[
-        float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
-    ] = 1.0,
+    start_soc: Annotated[float, number_option("--start-soc", 0.05, 1.0, "State of charge at take-off.")] = 1.0,
     effect: Annotated[
         list[str] | None, typer.Option("--effect", help="Effect to plant, NAME=VALUE; may be repeated.")
     ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Seed of the noise: the same seed gives the same log.")
     ] = 1,
-    rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0, help="Rows of telemetry a second.")] = 2.0,
+    rate_hz: Annotated[float, number_option("--rate-hz", 0.05, 50.0, "Rows of telemetry a second.")] = 2.0,
     cells: CellsOption = 4,
     capacity_ah: CapacityOption = 5.0,
     cutoff_voltage: CutoffOption = None,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import ReportOption, check_writable, remark, say
+from uavbatt.cli.options import ReportOption, check_writable, number_option, remark, say
 from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
@@ -43,13 +44,13 @@ def validate(
     ] = None,
     limit_v: Annotated[
         float | None,
-        typer.Option("--limit-v", min=0.001, help="Largest bias that passes [V of this pack]; default: 0.05 a cell."),
+        number_option("--limit-v", 0.001, math.inf, "Largest bias that passes [V of this pack]; default: 0.05 a cell."),
     ] = None,
     limit_s: Annotated[
-        float, typer.Option("--limit-s", min=0.1, help="Largest bias of the crossing time that passes, in s.")
+        float, number_option("--limit-s", 0.1, math.inf, "Largest bias of the crossing time that passes, in s.")
     ] = 10.0,
     crossing_v: Annotated[
-        float | None, typer.Option("--crossing-v", min=0.1, help="Voltage of this pack whose crossing is timed [V].")
+        float | None, number_option("--crossing-v", 0.1, math.inf, "Voltage of this pack whose crossing is timed [V].")
     ] = None,
 ) -> None:
     """Judge the tests by ISO 5725, build the corridor of permissible dispersion, and gate the battery model.
