@@ -13,6 +13,7 @@ from uavbatt.live.config import Config
 from uavbatt.live.log import tell
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.endpoint import Chunk
+from uavbatt.mavlink.outgoing import BATTERY
 from uavbatt.mavlink.signing import Verifier
 from uavbatt.telemetry.formats.mission_file import read_mission
 from uavbatt.telemetry.link.reader import LiveReader, checksum
@@ -34,8 +35,10 @@ class Listener:
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
+        link = config.link
+        own_battery = BATTERY if "battery" in config.feed.kinds else None
         self.reader = LiveReader(
-            config.link.system, config.link.component, config.link.own_component, has_clock=config.link.clock
+            link.system, link.component, link.own_component, has_clock=link.clock, own_battery=own_battery
         )
         if config.pack.mission:
             self.reader.planned = read_mission(config.pack.mission)

@@ -19,7 +19,7 @@ SMART_BATTERY_INFO, BATTERY_INFO = 370, 372
 
 AUTOPILOT_PX4 = 12
 _AUTOPILOT_INVALID = 8
-_TYPE_GCS = 6
+_TYPE_GCS, _TYPE_BATTERY = 6, 36
 _MODE_FLAG_ARMED = 128
 _PACK_SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest in the next entry
 # MAV_PARAM_TYPE -> struct code: PX4 copies the integer's bytes into the float field.
@@ -162,3 +162,8 @@ def is_armed(heartbeat: Any) -> bool:
 def is_autopilot(heartbeat: Any) -> bool:
     """Return True for the heartbeat of a flight controller, not of a ground station or a payload."""
     return bool(heartbeat.autopilot != _AUTOPILOT_INVALID and heartbeat.type != _TYPE_GCS)
+
+
+def is_battery(heartbeat: Any) -> bool:
+    """Return True for the heartbeat of a battery that is a component of its own."""
+    return bool(heartbeat.autopilot == _AUTOPILOT_INVALID and heartbeat.type == _TYPE_BATTERY)

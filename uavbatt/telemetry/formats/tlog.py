@@ -1,9 +1,9 @@
 """Telemetry logs (.tlog) of a ground station: choose the autopilot, take its battery messages.
 
 A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components of their own. Only
-battery messages of the chosen autopilot are read. BATTERY_STATUS names batteries by id. SYS_STATUS counts only if the
-vehicle sent no BATTERY_STATUS at all, or if battery 0 is the only one and sent none for 5 s. BATTERY2 (old) counts only
-if no BATTERY_STATUS has the id 1.
+battery messages of the chosen autopilot are read, or of such batteries if it has none (`tlog_components`).
+BATTERY_STATUS names batteries by id. SYS_STATUS counts only if the vehicle sent no BATTERY_STATUS at all, or if battery
+0 is the only one and sent none for 5 s. BATTERY2 (old) counts only if no BATTERY_STATUS has the id 1.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import forecast_period_s, is_recording
 from uavbatt.telemetry.formats.tlog_cells import BatteryStatusRows, HeardMessages, with_all_cells
+from uavbatt.telemetry.formats.tlog_components import BatteryComponents, battery_components, battery_sources
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
@@ -68,8 +69,11 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None, 
     log.skipped_bytes = found.skipped_bytes
     if math.isnan(found.first_s):
         return log
-    chosen = _autopilot(source, found, log, system)
-    of_source = found.at(found.source == chosen)
+    chosen = _autopilot(source, found, system)
+    components = battery_components(found, chosen) if chosen != _NOBODY else None
+    _note_ignored(found, chosen, components, log)
+    is_own = found.source == chosen
+    of_source = found.at(is_own if components is None else is_own | components.frames)
     # only battery frames set the clock, so that reading more kinds of messages moves no row
     own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if chosen != _NOBODY:
@@ -86,8 +90,11 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None, 
     return log
 
 
-def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None) -> int:
-    """Return the source whose battery messages are read, component 1 if possible; _NOBODY if there is none."""
+def _autopilot(name: str, found: FrameTable, system: int | None) -> int:
+    """Return the source whose battery messages are read, component 1 if possible; _NOBODY if there is none.
+
+    An autopilot without battery messages is chosen only if its system has batteries that are components.
+    """
     beating = found.of(fields.HEARTBEAT)
     is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
     beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
@@ -95,18 +102,30 @@ def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None
     candidates = [s for s in in_order if s in autopilots]
     # A short or cut log may hold no heartbeat: then component 1 is believed to be the autopilot.
     candidates = candidates or [s for s in in_order if s not in beaters and s & 0xFF == _AUTOPILOT_COMPONENT]
+    with_components = {s >> 8 for s in battery_sources(found)} if autopilots and not candidates else set()
+    candidates = candidates or sorted(s for s in autopilots if s >> 8 in with_components)
     if system is not None:
         candidates = _of_system(name, candidates, system)
     if not candidates:
         return _NOBODY
-    chosen: int = min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
-    for other in in_order:
-        if other != chosen:
-            log.notes.append(f"battery messages of {_named(other)} ignored (read: {_named(chosen)})")
+    return min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
+
+
+def _note_ignored(found: FrameTable, chosen: int, components: BatteryComponents | None, log: LogBuilder) -> None:
+    """Note whose battery messages are read in the place of others, or are not read."""
+    if components is None:
+        return
+    for source in distinct(found.source[np.isin(found.message_id, _BATTERY_IDS)]):
+        if source in components.sources:
+            log.notes.append(f"batteries of {_named(source)} read: it is a battery, and the autopilot reported none")
+        elif source != chosen:
+            log.notes.append(f"battery messages of {_named(source)} ignored (read: {_named(chosen)})")
+    log.notes += [
+        f"battery {number} of {_named(source)} ignored: another reports it" for source, number in components.unused
+    ]
     of_chosen = distinct(found.message_id[found.source == chosen])
-    if fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
+    if not components.sources and fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
         log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
-    return chosen
 
 
 def _of_system(name: str, candidates: list[int], system: int) -> list[int]:

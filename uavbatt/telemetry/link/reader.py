@@ -16,6 +16,7 @@ from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
+from uavbatt.telemetry.link.battery_components import BatteryComponents
 from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
 from uavbatt.telemetry.link.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
@@ -72,8 +73,10 @@ class LiveReader:
         own_component: int | None = None,
         *,
         has_clock: bool = True,
+        own_battery: int | None = None,
     ) -> None:
         self._asked, self._own_component, self._has_clock = (system, component), own_component, has_clock
+        self._components = BatteryComponents(own_battery)
         self._decode = decoder()
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
@@ -118,8 +121,15 @@ class LiveReader:
 
     def conflict(self, instance: int) -> str:
         """Return in words what the senders of a battery disagree on; empty while they agree."""
+        return dict(self._conflicts()).get(instance, "")
+
+    def _conflicts(self) -> list[tuple[int, str]]:
+        """Return the batteries of the followed vehicle whose senders disagree, with the quantity in words."""
         vehicle = self.followed
-        return vehicle.senders.conflict(instance, self._now_s) if vehicle is not None else ""
+        if vehicle is None:
+            return []
+        of_components = self._components.conflicts(vehicle.system, self._now_s)
+        return [*of_components, *vehicle.speakers.senders.conflicts(self._now_s)]
 
     def notes(self) -> list[str]:
         """Return notes for the operator about the vehicles and senders that are heard."""
@@ -132,9 +142,9 @@ class LiveReader:
         awaited = self.following.awaited
         if awaited is not None:
             found.append(f"system {awaited.system} fell silent in the air: followed again when it speaks")
-        for number, words in vehicle.senders.conflicts(self._now_s):
+        for number, words in self._conflicts():
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
-        found += vehicle.notes
+        found += [*self._components.notes(vehicle.system), *vehicle.notes]
         for name, doubt in vehicle.parameters.doubted.items():
             change = f"{name} changed in flight from {vehicle.parameters.known[name]:g} to {doubt.value:g}"
             found.append(f"{change}: counts when it is heard again")
@@ -157,15 +167,14 @@ class LiveReader:
                 self._hear(header, message)
         vehicle = self._vehicles.get((header.system, header.component))
         if vehicle is None:
-            return self._of_a_part(header, stamp_s, message, frame)
-        time_s, stream = vehicle.passes(stamp_s), vehicle.stream_of(frame, stamp_s, sender)
+            taken = self._of_component(header, stamp_s, message, frame, sender)
+            return taken if taken is not None else self._of_a_part(header, stamp_s, message, frame)
+        time_s = vehicle.passes(stamp_s)
         battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
-        if battery is not None:
-            vehicle.senders.compare(stream, battery, stamp_s)
-        # Streams of one address that agree are one autopilot on two links: all of its rows count.
-        speaker = stream if vehicle.senders.conflicts(stamp_s) else sender
-        if not vehicle.senders.admits(speaker, stamp_s, battery is not None):
+        if not vehicle.speakers.admits(frame, stamp_s, sender, battery):
             return NOTHING
+        if battery is not None:
+            self._components.tell(header.system, battery)
         if header.message_id in BOOT_TIME_AT:
             vehicle.lateness = vehicle.lateness.after(stamp_s, boot_time_s(frame, header.message_id))
         rows = vehicle.take(header.message_id, message, battery, frame, time_s) if message is not None else []
@@ -189,6 +198,26 @@ class LiveReader:
         parts = zip(("system", "component"), self._asked, strict=True)
         return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
+    def _of_component(
+        self, header: framing.Header, stamp_s: float, message: Any, frame: bytes, sender: object
+    ) -> TakenFrame | None:
+        """Process a battery component's BATTERY_STATUS; None if it does not count but is of a part of the vehicle."""
+        source = (header.system, header.component)
+        in_turn = (vehicle for vehicle in (self.followed, *self._vehicles.values()) if vehicle is not None)
+        vehicle = next((vehicle for vehicle in in_turn if vehicle.system == header.system), None)
+        speakers = self._components.speakers(source) if header.message_id == fields.BATTERY_STATUS else None
+        if vehicle is None or speakers is None:
+            return None
+        battery = battery_fields(header.message_id, message)
+        if not speakers.admits(frame, stamp_s, sender, battery):
+            return NOTHING
+        time_s = vehicle.passes(stamp_s)
+        if not self._components.admits(vehicle, source, battery):
+            return None
+        rows = vehicle.take(header.message_id, message, battery, frame, time_s)
+        self._follow(vehicle, stamp_s)
+        return TakenFrame(rows, True) if vehicle is self.followed else None
+
     def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> TakenFrame:
         """Process a frame without a row: of another component of the vehicle, or of a station that writes a mission."""
         followed = self.followed
@@ -209,6 +238,8 @@ class LiveReader:
             return
         system, component = self._asked
         is_heartbeat = header.message_id == fields.HEARTBEAT
+        if is_heartbeat:
+            self._components.meet(source, message)
         if not (fields.is_autopilot(message) if is_heartbeat else source[1] == (component or AUTOPILOT_COMPONENT)):
             return
         if len(self._heard) < MOST_VEHICLES:

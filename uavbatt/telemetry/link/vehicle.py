@@ -26,8 +26,7 @@ from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S,
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.lateness import Lateness
-from uavbatt.telemetry.link.senders import MOST_SENDERS, Senders
-from uavbatt.telemetry.link.sequence_numbers import SequenceNumbers
+from uavbatt.telemetry.link.speakers import Speakers
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
@@ -84,8 +83,7 @@ class Vehicle:
         self.system, self.component = system, component
         self.route = NavigationListener(own=None if own_component is None else (system, own_component))
         self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
-        self.senders = Senders()
-        self._counts: dict[object, SequenceNumbers] = {}
+        self.speakers = Speakers()
         self.parameters = HeardParameters()
         self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
@@ -131,14 +129,6 @@ class Vehicle:
         if self.speaks or self._without_voltage < WITHOUT_VOLTAGE:
             return [*self.voltages.notes]
         return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
-
-    def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
-        """Return the sender of a frame from an address: two may share one address (`sequence_numbers`)."""
-        if address not in self._counts:
-            if len(self._counts) >= MOST_SENDERS:
-                del self._counts[next(iter(self._counts))]  # the first that was heard
-            self._counts[address] = SequenceNumbers(address)
-        return self._counts[address].stream(framing.sequence(frame), stamp_s)
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
