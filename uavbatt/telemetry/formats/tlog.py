@@ -32,7 +32,7 @@ from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import forecast_period_s, is_recording
 from uavbatt.telemetry.formats.tlog_cells import BatteryStatusRows, HeardMessages, with_all_cells
-from uavbatt.telemetry.formats.tlog_components import BatteryComponents, battery_components, battery_sources
+from uavbatt.telemetry.formats.tlog_components import LoggedComponents, battery_components, battery_sources
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
@@ -111,7 +111,7 @@ def _autopilot(name: str, found: FrameTable, system: int | None) -> int:
     return min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
 
 
-def _note_ignored(found: FrameTable, chosen: int, components: BatteryComponents | None, log: LogBuilder) -> None:
+def _note_ignored(found: FrameTable, chosen: int, components: LoggedComponents | None, log: LogBuilder) -> None:
     """Note whose battery messages are read in the place of others, or are not read."""
     if components is None:
         return

@@ -21,8 +21,8 @@ from uavbatt.telemetry.formats.tlog_frames import FrameTable
 SILENT_S = 5.0  # of the autopilot, as in flight
 
 
-class BatteryComponents(NamedTuple):
-    """BatteryComponents holds the components whose batteries count.
+class LoggedComponents(NamedTuple):
+    """LoggedComponents holds the components whose batteries count.
 
     frames : mask of their frames that are read; sources : 256 * system + component; unused : (source, battery id) of
     messages of these components that do not count.
@@ -40,17 +40,17 @@ def battery_sources(found: FrameTable) -> set[int]:
     return set(beating.source[is_battery].tolist()) & set(found.of(fields.BATTERY_STATUS).source.tolist())
 
 
-def battery_components(found: FrameTable, autopilot: int) -> BatteryComponents:
+def battery_components(found: FrameTable, autopilot: int) -> LoggedComponents:
     """Return the battery components that speak for the vehicle of this autopilot."""
     sources = {source for source in battery_sources(found) if source >> 8 == autopilot >> 8 and source != autopilot}
     none = np.zeros(len(found.source), np.bool_)
     if not sources:
-        return BatteryComponents(none, set(), [])
+        return LoggedComponents(none, set(), [])
     told = dict(_told(found, autopilot))
     first_told = min(told.values(), default=len(none))
     first_s = found.time_s[found.source == autopilot][0]
     if told and found.time_s[first_told] - first_s < SILENT_S:
-        return BatteryComponents(none, set(), [])
+        return LoggedComponents(none, set(), [])
     place = found.places(fields.BATTERY_STATUS)
     place = place[np.isin(found.source[place], list(sources))]
     early = set(found.source[place[place < first_told]].tolist())
@@ -69,7 +69,7 @@ def battery_components(found: FrameTable, autopilot: int) -> BatteryComponents:
     chosen[place] = [owners.get(number) == source for source, number in said]
     chosen |= np.isin(found.source, list(used)) & np.isin(found.message_id, list(fields.IDENTITY_LENGTH))
     unused = [(s, number) for s, number in dict.fromkeys(said) if s in used and owners.get(number) != s]
-    return BatteryComponents(chosen, used, unused)
+    return LoggedComponents(chosen, used, unused)
 
 
 def _told(found: FrameTable, autopilot: int) -> Iterator[tuple[int, int]]:
