@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,15 @@ MISSION = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47.0 8.0 500 1\n1 0 3 22 0 0 0 0 0 0 3
 PLAN = ("plan", "--cells", "4", "--capacity-ah", "5")
 
 
+@pytest.fixture
+def by_default() -> Iterator[None]:
+    """A process that is started meanwhile is ended by SIGHUP, even if these tests run under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("by_default")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_replay_that_is_ended_leaves_nothing(name: str, tmp_path: Path) -> None:
     words = [str(UAVBATT), "replay", str(LOGS / "quad_3s.BIN"), "--capacity-ah", "4", "--jsonl", "a.jsonl"]
