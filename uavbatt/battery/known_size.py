@@ -59,9 +59,9 @@ class KnownSize(NamedTuple):
         before, voltages = self.statements.voltages, statements.voltages
         first_A = self.first_A if self.statements.rows else sample.current_A
         updated = self._replace(statements=statements, size=size, first_A=first_A)
-        is_told = len(sample.cell_voltages_V) > self.told and _told(sample) > self.told
-        if is_told:
-            updated = updated._replace(told=_told(sample))._with_counts()._with_size()
+        told = _told(sample) if len(sample.cell_voltages_V) > self.told else 0
+        if told > self.told:
+            updated = updated._replace(told=told)._with_counts()._with_size()
         if voltages is not before:
             updated = updated._with_counts()
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)

@@ -8,16 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-
-
-def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
-    """Return the words of the command line; a log without a command gets `replay` before it."""
-    if words and words[0] not in commands and Path(words[0]).is_file():
-        return ["replay", *words]
-    return words
 
 
 class _Ended(BaseException):
@@ -59,7 +51,7 @@ def main() -> None:
 
     try:
         with _endings():
-            sys.exit(run(app, _completed(sys.argv[1:], {command.name for command in app.registered_commands})))
+            sys.exit(run(app, sys.argv[1:]))
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -15,11 +16,17 @@ _USAGE, _ABORTED, _INTERRUPTED = 2, 1, 130
 
 
 def run(app: typer.Typer, words: list[str]) -> int:
-    """Run the command of a command line; return the exit code. Without words the help is shown."""
+    """Run the command of a command line; return the exit code.
+
+    Without words the help is shown; a log without a command is replayed.
+    """
+    commands = {command.name for command in app.registered_commands}
+    if words and words[0] not in commands and Path(words[0]).is_file():
+        words = ["replay", *words]
     try:
         code = app(words or ["--help"], standalone_mode=False)
     except _USAGE_ERROR as error:
-        command = f"uavbatt {words[0]}" if words[0] in {known.name for known in app.registered_commands} else "uavbatt"
+        command = f"uavbatt {words[0]}" if words[0] in commands else "uavbatt"
         said = error.format_message().rstrip(".")
         print(terminal_line(f"{command}: {said} (see '{command} --help')"), file=sys.stderr)
         return _USAGE

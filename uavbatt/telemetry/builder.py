@@ -33,6 +33,7 @@ MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
 IMPOSSIBLE_CURRENTS = "impossible currents set to unknown"
 # Rules for MAVLink, the same in flight and in a tlog (`link.vehicle` explains them).
+FALLBACK_AFTER_S = 5.0  # until it is clear that no better source of a battery comes
 ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
 LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 BEATING_S = 3.0  # two heartbeats this close are in a row

@@ -70,13 +70,12 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None, 
     if math.isnan(found.first_s):
         return log
     chosen = _autopilot(source, found, system)
-    components = battery_components(found, chosen) if chosen != _NOBODY else None
-    _note_ignored(found, chosen, components, log)
-    is_own = found.source == chosen
-    of_source = found.at(is_own if components is None else is_own | components.frames)
+    components = battery_components(found, chosen)
+    of_source = found.at((found.source == chosen) | components.frames)
     # only battery frames set the clock, so that reading more kinds of messages moves no row
     own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if chosen != _NOBODY:
+        _note_ignored(found, chosen, components, log)
         log.identity = _identity(own, chosen, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
@@ -111,10 +110,8 @@ def _autopilot(name: str, found: FrameTable, system: int | None) -> int:
     return min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
 
 
-def _note_ignored(found: FrameTable, chosen: int, components: LoggedComponents | None, log: LogBuilder) -> None:
+def _note_ignored(found: FrameTable, chosen: int, components: LoggedComponents, log: LogBuilder) -> None:
     """Note whose battery messages are read in the place of others, or are not read."""
-    if components is None:
-        return
     for source in distinct(found.source[np.isin(found.message_id, _BATTERY_IDS)]):
         if source in components.sources:
             log.notes.append(f"batteries of {_named(source)} read: it is a battery, and the autopilot reported none")

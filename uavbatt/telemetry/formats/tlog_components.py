@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.mavlink import fields
+from uavbatt.telemetry.builder import FALLBACK_AFTER_S
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.tlog_frames import FrameTable
-
-SILENT_S = 5.0  # of the autopilot, as in flight
 
 
 class LoggedComponents(NamedTuple):
@@ -41,7 +40,7 @@ def battery_sources(found: FrameTable) -> set[int]:
 
 
 def battery_components(found: FrameTable, autopilot: int) -> LoggedComponents:
-    """Return the battery components that speak for the vehicle of this autopilot."""
+    """Return the battery components that speak for the vehicle of this autopilot; none without an autopilot (-1)."""
     sources = {source for source in battery_sources(found) if source >> 8 == autopilot >> 8 and source != autopilot}
     none = np.zeros(len(found.source), np.bool_)
     if not sources:
@@ -49,7 +48,7 @@ def battery_components(found: FrameTable, autopilot: int) -> LoggedComponents:
     told = dict(_told(found, autopilot))
     first_told = min(told.values(), default=len(none))
     first_s = found.time_s[found.source == autopilot][0]
-    if told and found.time_s[first_told] - first_s < SILENT_S:
+    if told and found.time_s[first_told] - first_s < FALLBACK_AFTER_S:
         return LoggedComponents(none, set(), [])
     place = found.places(fields.BATTERY_STATUS)
     place = place[np.isin(found.source[place], list(sources))]

@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 from uavbatt.mavlink import fields
+from uavbatt.telemetry.builder import FALLBACK_AFTER_S
 from uavbatt.telemetry.link.speakers import Speakers
-from uavbatt.telemetry.link.vehicle import FALLBACK_AFTER_S, Vehicle
+from uavbatt.telemetry.link.vehicle import Vehicle
 
 MOST_COMPONENTS = 16
 

@@ -202,10 +202,12 @@ class LiveReader:
         self, header: framing.Header, stamp_s: float, message: Any, frame: bytes, sender: object
     ) -> TakenFrame | None:
         """Process a battery component's BATTERY_STATUS; None if it does not count but is of a part of the vehicle."""
+        if header.message_id != fields.BATTERY_STATUS:
+            return None
         source = (header.system, header.component)
         in_turn = (vehicle for vehicle in (self.followed, *self._vehicles.values()) if vehicle is not None)
         vehicle = next((vehicle for vehicle in in_turn if vehicle.system == header.system), None)
-        speakers = self._components.speakers(source) if header.message_id == fields.BATTERY_STATUS else None
+        speakers = self._components.speakers(source)
         if vehicle is None or speakers is None:
             return None
         battery = battery_fields(header.message_id, message)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, LONGEST_ALONE_S, LogBuilder
+from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, FALLBACK_AFTER_S, LONGEST_ALONE_S, LogBuilder
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.lateness import Lateness
@@ -37,7 +37,6 @@ from uavbatt.telemetry.route.messages import (
 )
 from uavbatt.telemetry.route.settings import NAMES
 
-FALLBACK_AFTER_S = 5.0
 CONFIRMED_WITHIN_S = 60.0
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
