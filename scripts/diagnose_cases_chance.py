@@ -9,13 +9,13 @@ candidate is worth (EARNED stands above it), and what is left once the file's er
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from diagnose_cases_pack import flights, ready
+from scoring import data
 
 from uavbatt.diagnosis.candidates import NOTHING, candidates
 from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
@@ -24,7 +24,7 @@ from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, trial
 from uavbatt.fitting.observed import ObservedRecord
 
-TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
+TRUTH = data.place() / "truth"
 Right = Callable[[ObservedRecord], ObservedRecord]
 
 

@@ -19,17 +19,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import diagnose_cases_inject as plant
 import numpy as np
 from diagnose_cases_inject import Change, Flown
+from scoring import data
+from scoring.truth import truth_battery
 
-from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
-from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.log_replay.run import engine_for
-from uavbatt.telemetry import read_log
 
-DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 EQUIVALENT = (
     {"current_offset", "unmetered_load"},
     {"capacity_fade", "weak_cell", "current_gain", "rate_capacity"},
@@ -85,17 +83,10 @@ PAIRS = (
 )
 
 
-def battery_of_the_truth() -> BatteryFile:
-    """Fit a battery on the laboratory's tests and the effect-free reference flights."""
-    logs = [read_log(p) for p in sorted((DATA / "truth" / "reference" / "r0").glob("*.tlog"))]
-    size = RecordedPack("truth", plant.CELLS, plant.CAPACITY_AH, plant.CUTOFF_V)
-    return fit_battery(size, [dataset.load(DATA / "truth" / "lab")], logs).file
-
-
 def pools(battery: BatteryFile) -> dict[str, list[Flown]]:
     """Return the effect-free flights by the name of their case."""
     places = {"r0": "reference/r0", "p1": "practice/p1"}
-    truth = DATA / "truth"
+    truth = data.folder() / "truth"
     return {k: plant.flights(truth / v, truth / "answers" / v, battery) for k, v in places.items()}
 
 
@@ -207,7 +198,7 @@ def main() -> int:
     parser.add_argument("battery", nargs="?", type=Path, help="battery file of the truth, fitted when absent")
     parser.add_argument("--only", default="", help="planted effects whose name holds this word, and nothing else")
     asked = parser.parse_args()
-    battery = battery_file.read_battery(asked.battery) if asked.battery else battery_of_the_truth()
+    battery = battery_file.read_battery(asked.battery) if asked.battery else truth_battery(data.folder())
     pool = pools(battery)
     np.seterr(all="raise", under="ignore")
     singles(battery, pool, asked.only)

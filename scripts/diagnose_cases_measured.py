@@ -18,6 +18,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
+from scoring import data
+from scoring.data import M100_CELLS, M100_CUTOFF_V
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
@@ -29,16 +31,14 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for
-from uavbatt.records import Flight
-from uavbatt.telemetry import read_log
 from uavbatt.validation.gating import temperatures
 from uavbatt.validation.gating.gate import Limits
 from uavbatt.validation.judging.readings import read_once
 
 Array = NDArray[np.float64]
-DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+DATA = data.place()
 STUDY = Path(__file__).resolve().parents[1] / "uavbatt" / "data" / "study"
-M100_CELLS, M100_AH, M100_CUTOFF_V = 6, 5.7, 21.6
+M100_AH = 5.7  # as printed on the packs
 ENERTECH_AH, ENERTECH_AMBIENT_C, TURNIGY_AH, PIECES = 2.336, 25.0, 5.0, 4
 HEAD = "| data | plain model | found | voltage, left out [mV] | left unexplained |\n|---|---|---|---|---|"
 
@@ -166,22 +166,12 @@ def turnigy() -> None:
     print(row("Turnigy LA92 cycle at 25 °C, 4 pieces", "derived OCV, one resistance", records, file, 3.0))
 
 
-def m100_flights() -> dict[str, list[Flight]]:
-    """Read the flights of each aircraft."""
-    with (DATA / "flights" / "m100" / "index.csv").open() as stream:
-        index = list(csv.DictReader(stream))
-    by_aircraft: dict[str, list[Flight]] = {}
-    for r in index:
-        by_aircraft.setdefault(r["aircraft"], []).append(read_log(DATA / "flights" / "m100" / r["file"]))
-    return dict(sorted(by_aircraft.items()))
-
-
 def m100() -> None:
     """Print each aircraft's diagnosis: two aircraft teach the battery, the third is diagnosed."""
-    flights = m100_flights()
-    for aircraft, own in flights.items():
-        others = [f for name, flown in flights.items() if name != aircraft for f in flown]
-        mine = [from_flight(f, M100_CELLS, M100_AH) for f in own]
+    flights = data.m100(DATA)
+    for aircraft in sorted({f.aircraft for f in flights}):
+        others = [f.flight for f in flights if f.aircraft != aircraft]
+        mine = [from_flight(f.flight, M100_CELLS, M100_AH) for f in flights if f.aircraft == aircraft]
         mine = [replace(r, name=Path(r.name).name) for r in mine]
         size = RecordedPack(f"without {aircraft}", M100_CELLS, M100_AH, M100_CUTOFF_V)
         file = fit_battery(size, [], others).file

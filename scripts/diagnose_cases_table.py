@@ -10,13 +10,14 @@ labels in classes of their own for two. A wrong name is a class without the labe
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
+from scoring import data
+
+TRUTH = data.place() / "truth"
 SAME = {"partial_charge": "initial_charge", "undeclared": "undeclared"}
 SURE = 0.4
 # How the quantity of an effect begins in a label, whatever its unit.

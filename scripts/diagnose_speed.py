@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import argparse
 import cProfile
-import os
 import pstats
 import sys
 import time
 from pathlib import Path
 
 from diagnose_cases_pack import flights, ready
+from scoring import data
 
 from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.engine import PLAIN
 from uavbatt.log_replay.run import engine_for
 
-TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
+TRUTH = data.place() / "truth"
 
 
 def main() -> int:

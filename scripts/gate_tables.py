@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from scoring import data
 
 from uavbatt import dataset
 from uavbatt.validation.validate import Validation, validate
 
-DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+DATA = data.place()
 
 
 def claims(result: Validation) -> None:

@@ -29,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     from scoring import data, packs
     from scoring.progress import progress
+    from scoring.table import show
     from scoring.truth import truth_battery
 
     from uavbatt.packs.ledger import Ledger
@@ -39,13 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     battery = truth_battery(folder)
     with tempfile.TemporaryDirectory() as place, Ledger(Path(place) / "packs.sqlite") as ledger:
         found = [flown for name in names for flown in packs.flown(folder, name, battery, ledger, say)]
-    tables = [packs.table(found), packs.summary(found, KEPT_BACK)]
-    print("\n".join(table.text() for table in tables), flush=True)
-    if given.markdown is not None:
-        from uavbatt.files import atomic_write
-
-        with atomic_write(given.markdown, "w") as stream:
-            stream.write("\n".join(table.markdown() for table in tables) + "\n")
+    show([packs.table(found), packs.summary(found, KEPT_BACK)], given.markdown)
     return 0
 
 

@@ -22,7 +22,7 @@ from typing import TypeVar
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
 
 from scoring.progress import progress
-from scoring.table import Table
+from scoring.table import Table, show
 
 SECTIONS = ("estimator", "mixed", "live")
 EACH, EACH_QUICK, WORKERS = 6, 2, 2
@@ -41,13 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.flight is not None:
         return _one(given.flight)
-    tables = _tables(given.only or SECTIONS, given.quick)
-    print("\n".join(t.text() for t in tables), flush=True)
-    if given.markdown is not None:
-        from uavbatt.files import atomic_write
-
-        with atomic_write(given.markdown, "w") as stream:
-            stream.write("\n".join(t.markdown() for t in tables) + "\n")
+    show(_tables(given.only or SECTIONS, given.quick), given.markdown)
     return 0
 
 

@@ -3,17 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import math
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
-from uavbatt.estimation import recursion
-from uavbatt.estimation.filter import SocFilter
-from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 SCRIPTS = sorted(path.stem for path in (Path(__file__).parents[1] / "scripts").glob("*.py"))
 
@@ -39,16 +31,3 @@ def test_the_bench_of_the_engine_runs_what_it_times() -> None:
     found = forecaster.forecast(belief, 0.0)
     ends_s = engine.reference_ends_s(belief, asked, draws=64)
     assert found.lo_s < found.median_s < found.hi_s and 0.0 < ends_s.min() <= ends_s.max()
-
-
-def test_the_unscented_filter_stands_in_for_the_extended_one(monkeypatch):
-    pytest.importorskip("filterpy")
-    pack = pack_of(battery_file.read_battery("lpab-3s"), 3, 5.0, 10.0, math.nan)
-    rows = simulate_flight(pack, SimulatedFlight(power_W=160.0, rate_Hz=1.0))[:300]
-    soc = []
-    for close in (recursion._close, importlib.import_module("compare_filters").unscented_close):
-        monkeypatch.setattr(recursion, "_close", close)
-        by_rows = SocFilter(pack)
-        soc.append([by_rows.step(row).soc for row in rows])
-    assert np.array(soc[1]) == pytest.approx(np.array(soc[0]), abs=0.01)
-    assert soc[1] != soc[0]

@@ -30,6 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.logs import make_bin, make_tlog  # found by the line above
+from scoring import data
 
 REPEATS = 5
 ULOG = "flights/px4/hexa_6s_33s.ulg"
@@ -165,9 +166,8 @@ def import_line(name: str, statement: str, repeats: int) -> str:
 
 def lines(repeats: int = REPEATS) -> Iterator[str]:
     """Yield every reader beside its peer, in words."""
-    data = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     with tempfile.TemporaryDirectory() as folder:
-        made = {".BIN": Path(folder) / "big.BIN", ".tlog": Path(folder) / "big.tlog", ".ulg": data / ULOG}
+        made = {".BIN": Path(folder) / "big.BIN", ".tlog": Path(folder) / "big.tlog", ".ulg": data.place() / ULOG}
         messages = {".BIN": make_bin(made[".BIN"]), ".tlog": make_tlog(made[".tlog"])}
         for suffix, path in made.items():
             if not path.is_file():

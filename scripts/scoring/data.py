@@ -15,10 +15,14 @@ from uavbatt.telemetry import read_log
 M100_CELLS, M100_CUTOFF_V, M100_LOADED_A = 6, 21.6, 8.0
 
 
+def place() -> Path:
+    """Return `$UAVBATT_DATA`, else `../shared/data` beside the checkout, whether it is there or not."""
+    return Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+
+
 def folder() -> Path:
-    """Return `$UAVBATT_DATA`, else `../shared/data` beside the checkout. Raises BadInput when there is none."""
-    default = Path(__file__).resolve().parents[3] / "shared" / "data"
-    found = Path(os.environ.get("UAVBATT_DATA", default))
+    """Return the folder of the measured data. Raises BadInput when there is none."""
+    found = place()
     if not (found / "flights").is_dir():
         raise BadInput(found, "", "the folder of the measured data: set UAVBATT_DATA to it")
     return found

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+from uavbatt.files import atomic_write
 
 DASH = "–"
 
@@ -36,6 +39,14 @@ class Table:
         made = ["| " + " | ".join(line) + " |" for line in cells]
         note = [f"\n{self.note}"] if self.note else []
         return "\n".join([f"\n**{self.title}**\n", made[0], ruler, *made[1:], *note])
+
+
+def show(tables: Sequence[Table], markdown: Path | None) -> None:
+    """Print tables as text, and write them as Markdown to a file if one is given."""
+    print("\n".join(table.text() for table in tables), flush=True)
+    if markdown is not None:
+        with atomic_write(markdown, "w") as stream:
+            stream.write("\n".join(table.markdown() for table in tables) + "\n")
 
 
 def figure(value: float, decimals: int = 0, *, sign: bool = False) -> str:
