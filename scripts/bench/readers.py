@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.logs import make_bin, make_tlog  # found by the line above
 from scoring import data
+
+from bench.logs import make_bin, make_tlog  # found by the line above
 
 REPEATS = 5
 ULOG = "flights/px4/hexa_6s_33s.ulg"
