@@ -10,10 +10,9 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.evidence import SHIFTS_S
+from uavbatt.diagnosis.late_current import SHIFTS_S, metered_current
 from uavbatt.diagnosis.problem import Problem
 from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.simulation import metered_current
 
 
 @cache
@@ -41,9 +40,12 @@ def test_what_a_refit_holds_stays_at_what_the_file_says_and_counts_in_the_errors
 def test_a_current_read_later_is_the_shifted_one_and_has_no_corner_at_no_delay() -> None:
     evidence = problem().evidence
     column = np.array([1.0, 1.0])
-    read = metered_current(evidence, column, 1) - metered_current(evidence, 0.0 * column, 1)
+
+    def read(delay_s: float) -> np.ndarray:
+        return metered_current(evidence.stack.current_A, evidence.shifted_A, delay_s * column)
+
     places = np.searchsorted(SHIFTS_S, (0.0, 1.0))
-    assert read == pytest.approx(evidence.shifted_A[places[1]] - evidence.shifted_A[places[0]])
-    before, at, after = (metered_current(evidence, shift_s * column, 1) for shift_s in (-1e-4, 0.0, 1e-4))
+    assert read(1.0) - read(0.0) == pytest.approx(evidence.shifted_A[places[1]] - evidence.shifted_A[places[0]])
+    before, at, after = (read(delay_s) for delay_s in (-1e-4, 0.0, 1e-4))
     slope = np.max(np.abs(after - before))
     assert slope > 0.0 and np.max(np.abs(after - 2.0 * at + before)) < 1e-2 * slope

@@ -121,6 +121,8 @@ STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
 # A reaction slows down in the cold by another law than a resistance grows, and the model does not have that law. If the
 # file has a slow reaction, its behaviour in the cold is known no better than this, however well it fits a few flights.
 LEAST_ACTIVATION_SD_K = 300.0
+FARTHEST = 6.0  # sds: bounds of an error of the file, so wide that only a diverging step meets them
+NEARLY_NONE = 1e-3  # of its start, a quantity that has a logarithm: as good as none, which has no logarithm
 
 
 def nuisances(
@@ -162,7 +164,8 @@ def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activat
 
 
 def _nuisance(name: str, sd: float, *, estimated: bool = False) -> FreeQuantity:
-    return FreeQuantity(INDEX[name], 0.0, sd, -6.0 * sd, 6.0 * sd, log=False, nuisance=True, estimated=estimated)
+    far = FARTHEST * sd
+    return FreeQuantity(INDEX[name], 0.0, sd, -far, far, log=False, nuisance=True, estimated=estimated)
 
 
 def base_values(cell: Parameters, installation: Installation) -> Array:
@@ -205,6 +208,6 @@ def _free_quantity(quantity: Quantity, base: float, effect: Effect) -> FreeQuant
     start = base if listed else quantity.prior
     log = quantity.log and start > 0.0
     scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
-    low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
+    low = max(quantity.low, NEARLY_NONE * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
     low = max(low, base) if quantity.name in SLOWING else low
     return FreeQuantity(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

@@ -20,6 +20,7 @@ SLOWEST_POLARISATION_S = 30.0
 # (the entropic term of Bernardi 1985), which grows as a pack empties: in 13 drawn cases the estimated lag was 0.55 to
 # 0.69 of the true one.
 LAG_SHARE = 0.25
+START_ERROR = 0.01  # of the shift of the start, however well the records agree: chargers end at different charges
 NEVER_SURE = 0.97  # largest total probability of the candidates: the cause may be none of them
 
 
@@ -61,7 +62,7 @@ def start_class(problem: Problem, unchanged: Refit) -> EffectClass:
     evidence = problem.evidence
     starts = evidence.start_soc + evidence.start_sd * unchanged.v[:, 0]
     shift = starts[evidence.charged_in_part] - 1.0
-    mean, half = float(np.mean(shift)), float(np.hypot(0.01, 2.0 * np.std(shift) / np.sqrt(len(shift))))
+    mean, half = float(np.mean(shift)), float(np.hypot(START_ERROR, 2.0 * np.std(shift) / np.sqrt(len(shift))))
     name = "initial_charge"
     return EffectClass((name,), NEVER_SURE, {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")},
                        separating((name,), None))  # fmt: skip

@@ -25,6 +25,7 @@ from uavbatt.battery.battery_file import BatteryFile, Wander
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
+from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
@@ -33,14 +34,17 @@ from uavbatt.fitting.observed import ObservedRecord, Stack
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 # A shorter record does not leave the wander of the model behind it; with less charge drawn, no capacity shows.
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
+LOADED_SHARE = 0.3  # of the upper current (90 % point): less is rest
+LEAST_TEMPERATURES = 5  # fewer readings do not show how a temperature changes
 LEAST_RECORDS, LEAST_CHANGE = 2, 0.04  # one record may have a peculiarity of its day; relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008  # of the charge of a full pack: chargers end at different currents
+RESTED_SD, LOADED_SD = 0.03, 0.06  # of the charge that a first voltage shows: 12 and 24 mV of a cell on the plateau
+START_OHMAH, LEAST_START = 0.05, 0.05  # of a cell that has just been loaded; no flight begins emptier
 ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
 IDLE_NOISE_A = 0.15  # an offset is seen at rest to within that
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
 FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
-SHIFTS_S = np.arange(-8.0, 8.01, 0.5)  # the bounds of `current_delay`, in steps of half a row of 1 s
 
 Rows = NDArray[np.intp]
 
@@ -136,7 +140,7 @@ def _change(records: list[ObservedRecord]) -> float:
     loads = []
     for record in records:
         binned = observed.binned(record).current_A
-        loads.append(binned[binned > 0.3 * np.percentile(binned, 90)] / record.capacity_Ah)
+        loads.append(binned[binned > LOADED_SHARE * np.percentile(binned, 90)] / record.capacity_Ah)
     together = np.concatenate(loads)
     return float(np.std(together) / np.mean(together))
 
@@ -152,7 +156,6 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
     steep_V = _steep_V(file, ocv_soc, records[0].cells)
-    numbers = range(len(records))
     start_soc, start_sd, in_part = _starts(stack, ocv_soc)
     return Evidence(
         stack=stack,
@@ -160,8 +163,8 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
             _voltage_whitener(stack, j, start_soc[j], spread, noise_V(r, ohm), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
-        temps=tuple(_temperature_whitener(stack, j, spread) for j in numbers),
-        shifted_A=_shifted(records, stack),
+        temps=tuple(_temperature_whitener(stack, j, spread) for j in range(len(records))),
+        shifted_A=late_current.shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,
@@ -205,11 +208,11 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
     a guess.
     """
     volts = stack.voltage_V[0] / stack.cells
-    drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 0.05)
-    guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), 0.05, 1.0)
+    drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_OHMAH)
+    guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), LEAST_START, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
     centre = np.where(full, 1.0, guess)
-    return centre, np.where(full, FULL_SD, np.where(stack.rested, 0.03, 0.06)), stack.rested & ~full
+    return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
 def noise_V(record: ObservedRecord, ohm: float) -> float:
@@ -222,7 +225,8 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     if spacing_s > FAST_ROW_S:
         return 0.0
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(6.0 * observed.BIN_S / spacing_s))
+    bent_by_one = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
+    return float(observed.MAD_TO_SD * bent_V / np.sqrt(bent_by_one * observed.BIN_S / spacing_s))
 
 
 def _voltage_whitener(
@@ -264,37 +268,15 @@ def _cold(spread: Wander, start_C: float) -> float:
 
 def _temperature_whitener(stack: Stack, j: int, spread: Wander) -> Whitener | None:
     rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
-    if rows.size < 5:
+    if rows.size < LEAST_TEMPERATURES:
         return None
     time_s = stack.time_s[rows, j]
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.temperature_time_s)
-    return _whitener(
-        rows, np.zeros(rows.size, dtype=bool), spread.temperature_sd_K**2 * decay, spread.temperature_noise_K
-    )
+    nowhere = np.zeros(rows.size, dtype=bool)
+    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, spread.temperature_noise_K)
 
 
 def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
     factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
     sd = np.sqrt(np.sum(factor**2, axis=1))
     return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)
-
-
-def _shifted(records: list[ObservedRecord], stack: Stack) -> Array:
-    """Return the current `SHIFTS_S` later, averaged in the same way as the record."""
-    out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
-    for j, record in enumerate(records):
-        bin_s = observed.BIN_S if np.median(np.diff(record.time_s)) < 0.9 * observed.BIN_S else 0.0
-        charge = np.concatenate(
-            [[0.0], np.cumsum(0.5 * (record.current_A[1:] + record.current_A[:-1]) * np.diff(record.time_s))]
-        )
-        for i, shift_s in enumerate(SHIFTS_S):
-            at_s = stack.time_s[:, j] + shift_s
-            if not bin_s:
-                out[i, :, j] = np.interp(at_s, record.time_s, record.current_A)
-                continue
-            ends_s = np.clip(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), *record.time_s[[0, -1]])
-            width_s = np.diff(ends_s, axis=0)[0]
-            charge_drawn = np.diff(np.interp(ends_s, record.time_s, charge), axis=0)[0]
-            held_A = np.where(at_s < record.time_s[0], record.current_A[0], stack.current_A[-1, j])
-            out[i, :, j] = np.where(width_s > 0.5, charge_drawn / np.maximum(width_s, 0.5), held_A)
-    return out

@@ -25,6 +25,11 @@ ITERATIONS = 12  # of a candidate, which starts at the fit without it
 SETTLED = 40  # iterations for the model without an effect: what has not converged would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)  # starts of an effect, in sds of its prior
 CONVERGED = 0.01  # smallest chi-square that a step must be expected to gain
+# Marquardt's damping: a step that gains makes it smaller, one that does not makes it larger by more, so that a search
+# that is stuck ends soon. Below the least the step is that of Gauss and Newton; at the most it no longer moves.
+FIRST_DAMPING, EASED, TIGHTENED, LEAST_DAMPING, MOST_DAMPING = 1e-2, 0.2, 8.0, 1e-6, 1e6
+LONGEST_STEP = 3.0  # sds of a quantity in one step: farther away the slopes say nothing
+RIDGE = 1e-6  # added to the information, in sds: a quantity that no record shows stays where it is
 
 
 class _Linearised(NamedTuple):
@@ -67,7 +72,7 @@ def refit(
         v[i] = values.v
     if not file_errors:
         u = _best_of_scan(batch, u, v)
-    damping = np.full(len(candidates), 1e-2)
+    damping = np.full(len(candidates), FIRST_DAMPING)
     moving, going = batch.moving, np.arange(len(candidates))
     state = _linearised(batch, u, v, moving)
     for _ in range(iterations):
@@ -99,7 +104,7 @@ def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array,
     better = np.flatnonzero(gains)
     u[going[better]], v[going[better]] = to_u[better], to_v[better]
     state.put(going[better], trial.of(better))
-    damping[going] = np.clip(damping[going] * np.where(gains, 0.2, 8.0), 1e-6, 1e6)
+    damping[going] = np.clip(damping[going] * np.where(gains, EASED, TIGHTENED), LEAST_DAMPING, MOST_DAMPING)
     return going
 
 
@@ -171,8 +176,8 @@ def _step(s: _Linearised, v: Array, damping: Array) -> Array:
     schur = a_uu * (1.0 + hold * np.eye(size)) - a_uv @ solved[..., :size]
     right = g_u - (a_uv @ solved[..., size:])[..., 0]
     schur, right = np.sum(schur, axis=1, keepdims=True), np.sum(right, axis=1, keepdims=True)
-    du: Array = np.linalg.solve(schur + 1e-6 * np.eye(size), right[..., None])[..., 0]
-    return np.clip(du, -3.0, 3.0)
+    du: Array = np.linalg.solve(schur + RIDGE * np.eye(size), right[..., None])[..., 0]
+    return np.clip(du, -LONGEST_STEP, LONGEST_STEP)
 
 
 def _nuisance_step(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:

@@ -17,7 +17,8 @@ from uavbatt.battery.openloop import States
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import INDEX, QUANTITIES
-from uavbatt.diagnosis.evidence import SHIFTS_S, Evidence
+from uavbatt.diagnosis.evidence import Evidence
+from uavbatt.diagnosis.late_current import metered_current
 from uavbatt.fitting.observed import Stack
 
 MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness_ohm")
@@ -80,36 +81,6 @@ def _warmth(stack: Stack) -> Array:
     return place
 
 
-def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
-    """Return the metered current [A], [rows, columns], read `delay_s` [columns] seconds later.
-
-    Interpolates between the known shifts by cubic convolution (Keys 1981), which is smooth in the delay: linear
-    interpolation has a corner at zero delay, and a refit would stop there.
-    """
-    records = len(evidence.names)
-    position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 1, len(SHIFTS_S) - 2.001)
-    lower = position.astype(int)
-    column = np.arange(delay_s.size)
-    weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
-    for place, weight in enumerate(_keys(position - lower), start=-1):
-        weights[lower + place, column] = weight
-    weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # only the change: the record itself may be averaged in another way
-    current = np.tile(evidence.stack.current_A, (1, variants))
-    for j in range(records):
-        current[:, j::records] += evidence.shifted_A[:, :, j].T @ weights[:, j::records]
-    return current
-
-
-def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the weights of four neighbours at a share t of the middle gap (Keys 1981, IEEE Trans. ASSP 29, eq. 15)."""
-    return (
-        0.5 * t * (t * (2.0 - t) - 1.0),
-        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
-        0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
-        0.5 * t * t * (t - 1.0),
-    )
-
-
 def simulate(
     base: Pack,
     evidence: Evidence,
@@ -131,7 +102,7 @@ def simulate(
     drift = None if drift is None else drift.reshape(len(flat), *drift.shape[2:])
     installation = _installation_of(base, evidence, flat, drift)
     cell = pack.grown(cell, installation)
-    metered_A = metered_current(evidence, flat[:, INDEX["delay_s"]], variants)
+    metered_A = metered_current(stack.current_A, evidence.shifted_A, flat[:, INDEX["delay_s"]])
     current_A = pack.true_current(installation, metered_A, np.tile(stack.voltage_V, (1, variants)))
     rate = pack.c_rate(installation, current_A)
     start_C = np.tile(stack.start_temp_C, variants) - installation.offset_K + own.start_K.ravel()

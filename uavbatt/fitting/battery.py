@@ -27,6 +27,10 @@ from uavbatt.records import Flight, PackFacts
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
 EVALUATIONS = 60  # of a fit, at most; fits of 3 to 40 flights need 10 to 30
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
+# What records should reach, else the file says that they do not: a resistance of 1.4 and of 0.85 times that at 25 °C
+# (by the usual activation, 1500 K), and the charge below which the voltage falls off.
+COLD_C, WARM_C, DEEP_SOC = 5.0, 35.0, 0.1
+TEMPERATURE_ENDS = (1.0, 99.0)  # per cent of the readings: a single spike is no temperature that was flown
 FAR_SDS = 2.5  # sds of the prior: LiPo packs stay within 2.2, a lithium-ion pack is at 2.9
 ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s")  # heat flows in many ways
 
@@ -213,7 +217,8 @@ def _measured_C(stack: Stack) -> tuple[float, float] | None:
     """Return the 1st and the 99th percentile of the measured temperatures [°C]; None if none was measured."""
     temps = stack.temp_C[stack.compare]
     temps = temps[np.isfinite(temps)]
-    return (float(np.percentile(temps, 1.0)), float(np.percentile(temps, 99.0))) if temps.size else None
+    low_C, high_C = np.percentile(temps, TEMPERATURE_ENDS) if temps.size else (np.nan, np.nan)
+    return (float(low_C), float(high_C)) if temps.size else None
 
 
 def _doubtful(fit: BatteryFit) -> tuple[str, ...]:
@@ -236,13 +241,13 @@ def _unknown_words(fit: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str,
     if span is None:
         lines.append("no temperature was measured: resistance in the cold and in the heat is the prior's")
     else:
-        if span[0] > 5.0:
+        if span[0] > COLD_C:
             lines.append(f"no cold data: nothing below {span[0]:.0f} °C")
-        if span[1] < 35.0:
+        if span[1] < WARM_C:
             lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
     discharged_share = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
     lowest = float(np.min(fit.own[:, 0] - discharged_share))
-    if lowest > 0.1:
+    if lowest > DEEP_SOC:
         lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
     if not has_bench:
         lines.append("flights alone cannot tell capacity from state of charge: the stated capacity stands")

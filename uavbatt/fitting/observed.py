@@ -22,10 +22,14 @@ from uavbatt.telemetry.cleaning.cleaner import Cleaner
 from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C
 
 BIN_S = 5.0
+FINE_SHARE = 0.9  # of BIN_S: rows every 5 s, a little early or late, are left as they are
 # The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, short enough for one load
 MAD_TO_SD = 1.4826  # sd of a normal distribution over its median absolute deviation
+SCATTERED = 5.0  # robust sds: rows of one load lie within them but for one in a million
+SMOOTH_S = 30.0  # of the slope: the model is smoother than the turns of an aircraft
+FIRST_READINGS = 8  # temperatures whose median is that of the start: one spike does not move it
 ROOM_C = 22.0  # ambient of a record without any temperature
 LEAST_ROWS, LEAST_BINS = 10, 3  # fewer bins have no curvature, and fewer rows no scatter
 
@@ -94,7 +98,7 @@ def held_load(time_s: Array, current_A: Array) -> Array:
 
     A bench holds its load between steps, so that the scatter from row to row is noise of the sensor. If that noise were
     kept, the fitted resistance would be too small (errors in variables) and the OCV would compensate. Rows within
-    HELD_WINDOW_S that differ by less than 5 robust sd of the scatter are averaged; steps of the load stay.
+    HELD_WINDOW_S that differ by less than SCATTERED robust sd of the scatter are averaged; steps of the load stay.
     """
     scatter = MAD_TO_SD * float(np.median(np.abs(np.diff(current_A)))) / np.sqrt(2.0)
     firsts = np.searchsorted(time_s, time_s - HELD_WINDOW_S)
@@ -102,7 +106,7 @@ def held_load(time_s: Array, current_A: Array) -> Array:
     held_A = np.empty_like(current_A)
     for row, (first, last) in enumerate(zip(firsts, behind, strict=True)):
         near_A = current_A[first:last]
-        held_A[row] = np.mean(near_A[np.abs(near_A - current_A[row]) <= 5.0 * scatter])
+        held_A[row] = np.mean(near_A[np.abs(near_A - current_A[row]) <= SCATTERED * scatter])
     return held_A
 
 
@@ -159,12 +163,17 @@ def _mapped(record: ObservedRecord, change: Callable[[Array], Array]) -> Observe
     )
 
 
+def is_fine(record: ObservedRecord) -> bool:
+    """Return True if the rows come faster than the bins of BIN_S."""
+    return bool(np.median(np.diff(record.time_s)) < FINE_SHARE * BIN_S)
+
+
 def binned(record: ObservedRecord) -> ObservedRecord:
     """Return the record as means over bins of BIN_S where rows come faster; the record itself otherwise.
 
     Raises NotEnoughData when its rows lie in fewer than LEAST_BINS bins: they have no slope.
     """
-    if np.median(np.diff(record.time_s)) >= 0.9 * BIN_S:
+    if not is_fine(record):
         return record
     index = np.floor((record.time_s - record.time_s[0]) / BIN_S).astype(int)
     _, index = np.unique(index, return_inverse=True)
@@ -231,7 +240,7 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
 
 
 def _start_temp(record: ObservedRecord) -> float:
-    readings = record.temp_C[np.isfinite(record.temp_C)][:8]
+    readings = record.temp_C[np.isfinite(record.temp_C)][:FIRST_READINGS]
     if readings.size:
         return float(np.median(readings))
     return record.ambient_C if np.isfinite(record.ambient_C) else ROOM_C
@@ -247,7 +256,7 @@ def _split(record: ObservedRecord) -> dict[str, Array]:
         pieces.append(left + (right - left) * np.arange(1, steps + 1) / steps)
     grid = np.concatenate(pieces)
     real = np.isin(grid, time_s).astype(float)
-    width = max(3, int(30.0 / np.median(np.diff(time_s))) | 1)
+    width = max(3, int(SMOOTH_S / np.median(np.diff(time_s))) | 1)
     smooth = np.convolve(np.pad(record.voltage_V, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
     slope = np.abs(np.gradient(smooth, time_s))
 

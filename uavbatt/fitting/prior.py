@@ -34,6 +34,8 @@ RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 # 5.6 mohm for a cell of 5 Ah, without the polarisation. Packs differ by a factor of 1.6 either way: in all 0.04 ohm·Ah
 # for a racing pack, 0.06 in the study, 0.1 for packs built for energy.
 RESISTANCE_OHMAH = 0.028
+RESISTANCE_SD = 0.8  # in ln: a factor of 2.2, beyond the 1.6 between packs
+FARTHEST_LN = 8.0  # a factor of 3000: farther out only a diverging step goes
 RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
 
 BASE_EFFECTS = ("polarisation", "slow_diffusion", "temperature_resistance", "self_heating", "temperature_lag")
@@ -63,7 +65,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.na
     """
     ocv = [Slot(f"ocv_{z:g}", float(v), sd) for z, v, sd in zip(OCV_SOC, ocv_knots(fullest_V), OCV_SD_V, strict=True)]
     shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
-    level = Slot("r0_ohmAh", RESISTANCE_OHMAH, 0.8, log=True)
+    level = Slot("r0_ohmAh", RESISTANCE_OHMAH, RESISTANCE_SD, log=True)
     quantities = [
         Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # within the bounds of a battery file
         for name in effects
@@ -78,7 +80,7 @@ def values(slots: tuple[Slot, ...], u: Array) -> Array:
     prior = np.array([s.prior for s in slots])
     shift = u * np.array([s.sd for s in slots])
     log = np.array([s.log for s in slots])
-    raw = np.where(log, prior * np.exp(np.where(log, np.clip(shift, -8.0, 8.0), 0.0)), prior + shift)
+    raw = np.where(log, prior * np.exp(np.where(log, np.clip(shift, -FARTHEST_LN, FARTHEST_LN), 0.0)), prior + shift)
     return np.clip(raw, [s.low for s in slots], [s.high for s in slots])
 
 

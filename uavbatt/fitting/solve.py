@@ -23,6 +23,8 @@ from uavbatt.fitting.prior import Posterior, Slot
 
 TEMPERATURE_SD_K = 0.6  # of a pack's thermometer and its place on the pack
 ROBUST_SCALE = 4.0  # sds beyond which a residual counts as an outlier
+START_DROP, LEAST_START = 1.5, 0.05  # a load of seconds drops 1.5 times what R0 does; no flight begins emptier
+CLOSE_ENOUGH = 1e-4  # relative change of the unknowns or of the cost at which a fit ends: far below any standard error
 NUDGE = 1e-4  # finite difference in sds of the prior
 OWN = ("start_soc", "log_resistance", "log_capacity")
 
@@ -72,9 +74,9 @@ def fullest_V(stack: Stack) -> float:
 def start_guess(stack: Stack) -> Array:
     """Return the starting charges [records] by the prior OCV at the first voltage (under load: plus a typical drop)."""
     table = dense(prior.OCV_SOC, prior.ocv_knots(fullest_V(stack)))
-    drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 1.5 * prior.RESISTANCE_OHMAH)
+    drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_DROP * prior.RESISTANCE_OHMAH)
     guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
-    return np.clip(guess, 0.05, 1.0)
+    return np.clip(guess, LEAST_START, 1.0)
 
 
 def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array) -> Trajectory:
@@ -195,8 +197,8 @@ def fit_battery(
         loss="soft_l1",
         f_scale=ROBUST_SCALE,
         max_nfev=evaluations,
-        xtol=1e-4,
-        ftol=1e-4,
+        xtol=CLOSE_ENOUGH,
+        ftol=CLOSE_ENOUGH,
     )
     slopes = np.asarray(solution.jac, dtype=float)
     curvature = slopes.T @ slopes

@@ -20,6 +20,8 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Flight
 
 GRID_S = 10.0  # of a load trace: slower than the turns of an aircraft, faster than the pack's reactions
+FLYING_SHARE = 0.3  # of the upper power (90 % point): less is the aircraft on the ground
+LEAST_ROWS = 5
 LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
 
 
@@ -83,7 +85,7 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
             rows.append((estimate.time_s - ground_s, max(power_W, 0.0), estimate.soc))
         before_s = estimate.time_s
     table = np.array(rows)
-    if len(table) < 5 or not table[:, 1].any():
+    if len(table) < LEAST_ROWS or not table[:, 1].any():
         return None
     time_s, watts, soc = table.T
     first, last = _airborne(watts)
@@ -100,7 +102,7 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
 
 def _airborne(watts: Array) -> tuple[int, int]:
     """Return the first and the last row with more than `LANDING_SHARE` of the power that is usual in the air."""
-    usual_W = float(np.median(watts[watts > 0.3 * np.percentile(watts, 90)]))
+    usual_W = float(np.median(watts[watts > FLYING_SHARE * np.percentile(watts, 90)]))
     high = np.flatnonzero(watts > LANDING_SHARE * usual_W)
     return int(high[0]), int(high[-1])
 

@@ -24,6 +24,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.observed import Stack
+from uavbatt.fitting.prior import FARTHEST_LN
 
 SOC = np.array([0.0, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 1.0])
 TIMING_S = 3.0  # near empty a model that is late by so much is good, though volts apart
@@ -89,7 +90,7 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
         values = likelihood(misfit, *unpacked(us)) + charged
         return float(values[0]), (values[1:] - values[0]) / NUDGE
 
-    bounds = [(low, low + 8.0) for low in least]
+    bounds = [(low, low + FARTHEST_LN) for low in least]
     minimum = minimize(objective, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
     best: Array = np.exp(minimum.x)
     return best

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.report import plot
-from uavbatt.report.fleet_groups import CHECKPOINTS, Group
+from uavbatt.report.fleet_groups import CHECKPOINTS, Group, precision
 from uavbatt.report.page import Html, figure, number
 from uavbatt.small_chart import small_chart, span
 
@@ -90,7 +90,7 @@ def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
 
 def _smoothed(pairs: NDArray[np.float64]) -> NDArray[Any]:
     """Return the weighted mean of each flight and its two neighbours on each side."""
-    weight = 1.0 / np.maximum(pairs[:, 1], 1e-3) ** 2
+    weight = precision(pairs)
     near = np.abs(np.subtract.outer(np.arange(len(pairs)), np.arange(len(pairs)))) <= 2
     smooth: NDArray[np.float64] = near @ (weight * pairs[:, 0]) / (near @ weight)
     return smooth

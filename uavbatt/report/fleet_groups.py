@@ -22,6 +22,8 @@ from uavbatt.fleet.row import FlightRow
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4  # a line through fewer leaves too little to judge its own scatter by
+LEAST_CHANGE = 0.05  # of a scale: packs of one make differ by that much when new
+LEAST_SCALE, LEAST_SD = 1e-3, 1e-3  # no division by less
 STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
 LISTED_SHARE = 0.2  # largest share of flights on the list of those to look at
 MOST_LISTED = 100  # rows of a list that a person may read; the table of flights holds all
@@ -40,17 +42,17 @@ class Change:
     @property
     def is_certain(self) -> bool:
         """Return True for a change of more than twice its own standard deviation that is big enough to matter."""
-        return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
+        return abs(self.difference) > max(2.0 * self.difference_sd, LEAST_CHANGE)
 
     @property
     def at_most(self) -> float:
         """Return the largest change that the flights leave possible (two sd), as a share of the early scale."""
-        return (abs(self.difference) + 2.0 * self.difference_sd) / max(self.early, 1e-3)
+        return (abs(self.difference) + 2.0 * self.difference_sd) / max(self.early, LEAST_SCALE)
 
     @property
     def visible(self) -> float:
         """Return the smallest change that these flights could have shown, as a share of the early scale."""
-        return max(2.0 * self.difference_sd, 0.05) / max(self.early, 1e-3)
+        return max(2.0 * self.difference_sd, LEAST_CHANGE) / max(self.early, LEAST_SCALE)
 
 
 class AgeingVerdict(NamedTuple):
@@ -127,9 +129,15 @@ def change(group: Group, values: Sequence[tuple[float, float]]) -> Change | None
     return Change(early[0], late[0], late[0] - early[0], math.hypot(early[1], late[1]))
 
 
+def precision(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weights 1/sd² of scales with their sds, [flights, 2]."""
+    weights: NDArray[np.float64] = 1.0 / np.maximum(pairs[:, 1], LEAST_SD) ** 2
+    return weights
+
+
 def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
     """Return the weighted mean and its standard error, which is at least that of the scatter of the flights."""
-    weight = 1.0 / np.maximum(pairs[:, 1], 1e-3) ** 2
+    weight = precision(pairs)
     mean = float(np.average(pairs[:, 0], weights=weight))
     scatter = float(np.std(pairs[:, 0], ddof=1)) / math.sqrt(len(pairs))
     return mean, max(float(1.0 / math.sqrt(weight.sum())), scatter)
