@@ -22,7 +22,7 @@ from uavbatt.battery.powers import (
     turning_power,
 )
 from uavbatt.battery.vehicle_file import Speeds
-from uavbatt.fitting.powers import powers
+from uavbatt.fitting.powers import FAST_SD, powers
 from uavbatt.fitting.vehicle import speeds
 from uavbatt.navigation import Mode, Navigation, Position, ReturnSettings
 from uavbatt.records import Flight, Sample
@@ -165,3 +165,12 @@ def test_fast_flight_that_many_flights_have_shown_is_known_better_than_one_that_
     shown, unshown = powers([flight()] * 8), powers([joined(flown_at(0.0, 300, 1.0), flown_at(5.0, 300, 1.0))] * 8)
     assert shown is not None and unshown is not None
     assert shown.fast_sd < 0.05 < unshown.fast_sd < UNKNOWN.fast_sd
+
+
+def test_twenty_seconds_of_fast_flight_do_not_show_how_flights_differ_in_it_and_a_minute_does() -> None:
+    """The noise of the power lasts for some seconds: so short a part has no mean of its own."""
+    brief, long = (
+        powers([joined(flown_at(0.0, 300, 1.0), flown_at(15.0, seconds, 1.0))] * 8) for seconds in (20, 60)
+    )
+    assert brief is not None and long is not None
+    assert long.fast_sd < 0.06 < FAST_SD < brief.fast_sd

@@ -148,6 +148,8 @@ def test_a_pack_that_is_not_the_one_remembered_is_noticed_by_its_ohms():
     health = PackHealth(math.log(type_ohm(PACK)), math.log(5.0), np.diag([0.1**2, 0.05**2]))
     assert unlike(PACK, health, wear=0.05, wear_sd=0.02) == ""
     assert "50% more resistance than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.02)
+    assert "50% more resistance than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.15)
+    assert unlike(PACK, health, wear=0.5, wear_sd=0.3) == ""  # so rough a wear may be that of the same pack
     assert "less resistance" in unlike(PACK, health, wear=-0.4, wear_sd=0.02)
     assert "6 remembered of this pack" in unlike(PACK, health._replace(cells=6), wear=0.05, wear_sd=0.02)
 

@@ -200,6 +200,12 @@ def test_nothing_is_drawn_across_a_gap_and_the_gap_is_named() -> None:
     assert "no row in the log" in render(run)
 
 
+def test_a_gap_is_longer_than_the_usual_step_of_the_log() -> None:
+    for pause_s, gaps in ((14.0, 0), (18.0, 1)):
+        times_s = [*np.arange(0.0, 60.0, 2.0), *np.arange(58.0 + pause_s, 120.0, 2.0)]
+        assert sum(s.status is Status.STALE for s in stretches([step(float(t)) for t in times_s])) == gaps
+
+
 def test_reasons_that_differ_in_numbers_are_one_stretch_and_many_stretches_run_together() -> None:
     (only,) = stretches([step(float(t), refused=f"known to ±{t} %") for t in range(20)])
     assert (only.rows, only.reason, only.last_reason) == (20, "known to ±0 %", "known to ±19 %")
