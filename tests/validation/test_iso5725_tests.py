@@ -201,8 +201,8 @@ def test_abbe_limits_of_the_tables():
 def test_paper_drift_rule_is_blind_to_a_step_that_returns():
     values = [0.0, 0.1, -0.1, 0.05, 5.0, 5.1, 4.9, 5.05, 5.0, 0.0]
     assert not drift.paper_rule(values).significant
-    assert drift.step(values[:-1]).after == 4
-    assert drift.step(values[:-1]).p_value < 0.05
+    found = drift.drift(values[:-1]).step
+    assert found.after == 4 and found.p_value < 0.05
     assert drift.abbe(values).p_value < 0.05
 
 

@@ -146,7 +146,7 @@ def test_abbe_and_mann_kendall_of_table_2(volts):
     assert [a.p_value < 0.05 for a in abbe] == [False, True, True, True, True, False, False, True, True]
     assert [drift.mann_kendall(c).S for c in columns] == [1, -23, -26, -28, -18, -12, -10, -27, -25]
     assert drift.slope(columns[1]).per_run == pytest.approx(-0.0136, abs=5e-5)
-    step = drift.step(columns[1])
+    step = drift.drift(columns[1]).step
     assert (step.after, round(step.size, 3), round(step.p_at_place, 3)) == (6, -0.097, 0.003)
 
 

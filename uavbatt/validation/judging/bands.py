@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.chance import generator
 
 DRAWS = 4000  # the share that a 95 % band holds is known to 0.35 % by so many draws
 
@@ -76,12 +77,12 @@ def _root(matrix: Array) -> Array:
     return root
 
 
-def new_curve_scores(parts: Components, with_samples: bool, seed: int) -> tuple[Array, Array]:
+def new_curve_scores(parts: Components, with_samples: bool) -> tuple[Array, Array]:
     """Simulate |new curve - mean|/s, [draw, level], with s by the crossed model and s the plain SD of all results.
 
     One draw repeats the whole experiment (occasions x samples), estimates mean and s, and tests one new curve.
     """
-    rng = np.random.default_rng(seed)
+    rng = generator()
     o, k = parts.occasions, parts.samples
     occasion, sample, residual = (_root(m) for m in (parts.occasion, parts.sample, parts.residual))
     size = len(occasion)

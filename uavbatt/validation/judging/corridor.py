@@ -22,7 +22,8 @@ from uavbatt.dataset import DataSet, Levels
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging import bands
-from uavbatt.validation.judging.crossing import Which, crossing_time
+from uavbatt.validation.judging.chance import generator
+from uavbatt.validation.judging.crossing import crossing_time
 from uavbatt.validation.judging.readings import VOLTAGE, Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
@@ -120,7 +121,7 @@ def shared_table(levels: Levels) -> SharedTable:
     return SharedTable(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
-def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed: int = 5725) -> Corridor | None:
+def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE) -> Corridor | None:
     """Build the corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
     levels = readings.levels(ambient_C, quantity)
     if levels is None:
@@ -128,16 +129,16 @@ def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed
     shared = shared_table(levels)
     table, notes = shared.table, levels.left_out + levels.notes + shared.notes
     if len(table) >= LEAST_OCCASIONS:
-        return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
+        return from_table(ambient_C, quantity, levels.time_s, table, notes)
     group = readings.near_repeats_at(ambient_C) if quantity == VOLTAGE else None
     if group is not None:
-        return from_quasi_replicates(ambient_C, group, notes, seed)
+        return from_quasi_replicates(ambient_C, group, notes)
     return _unknown(ambient_C, quantity, levels.time_s, table, notes)
 
 
-def corridors(readings: Readings, quantity: str = VOLTAGE, seed: int = 5725) -> dict[float, Corridor]:
+def corridors(readings: Readings, quantity: str = VOLTAGE) -> dict[float, Corridor]:
     """Build the corridor of every ambient temperature at which `quantity` was measured."""
-    bands = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
+    bands = ((t, corridor(readings, t, quantity)) for t in readings.dataset.ambients_C)
     return {t: c for t, c in bands if c is not None}
 
 
@@ -153,32 +154,28 @@ def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
     return np.array([i * step for i in range(math.ceil(low / step + 1e-6), math.floor(high / step + 1e-6) + 1)])
 
 
-def time_corridor(
-    readings: Readings, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
-) -> Corridor | None:
-    """Build the corridor of crossing times [s] at fixed voltages; None if no voltage is crossed by every run."""
+def time_corridor(readings: Readings, ambient_C: float) -> Corridor | None:
+    """Build the corridor of the first falls [s] through fixed voltages; None if every run crosses none of them."""
     levels = readings.levels(ambient_C)
     if levels is None:
         return None
-    volts = crossing_levels(readings.tests, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
+    volts = crossing_levels(readings.tests, levels)
     if not len(volts):
         return None
     values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
     for run in readings.tests.at(ambient_C):
         if run.sample in levels.samples and run.run in levels.occasions:
             cell = (levels.occasions.index(run.run), levels.samples.index(run.sample))
-            values[cell] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
+            values[cell] = [crossing_time(run.time_s, run.voltage_V, float(v)) for v in volts]
     timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)
     shared = shared_table(timed)
     table, notes = shared.table, levels.left_out + shared.notes
     if len(table) >= LEAST_OCCASIONS:
-        return from_table(ambient_C, "crossing_s", volts, table, notes, seed)
+        return from_table(ambient_C, "crossing_s", volts, table, notes)
     return _unknown(ambient_C, "crossing_s", volts, table, notes)
 
 
-def from_table(
-    ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...] = (), seed: int = 5725
-) -> Corridor:
+def from_table(ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...] = ()) -> Corridor:
     """Build the corridor from `table[occasion, sample, level]` of repeats, three occasions or more, at `at`.
 
     `at` holds the instants [s] (or voltages [V] for crossing times) of the levels; `quantity` gives the
@@ -194,7 +191,7 @@ def from_table(
     u2 = s_o**2 / o + np.nan_to_num(s_r) ** 2 / (o * k) + (s_s**2 / k if with_samples else 0.0)
     df = _effective_df(parts, with_samples)
     n_eff = np.divide(s**2, u2, out=np.full(levels, float(o)), where=u2 > 0)
-    by_model, by_plain = bands.new_curve_scores(parts, with_samples, seed)
+    by_model, by_plain = bands.new_curve_scores(parts, with_samples)
     factor = bands.simultaneous_factor(by_model)
     tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, df, strict=True)])
     one, every = bands.coverage(by_plain, 2.0)
@@ -222,7 +219,7 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     return np.array(df)
 
 
-def from_quasi_replicates(ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...], seed: int) -> Corridor:
+def from_quasi_replicates(ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...]) -> Corridor:
     """Build the corridor about a line in temperature through one-time curves one degree apart."""
     m, levels = group.residuals.shape
     covariance = group.residuals.T @ group.residuals / (m - 2)
@@ -231,7 +228,7 @@ def from_quasi_replicates(ambient_C: float, group: QuasiReplicates, notes: tuple
     hat = design @ np.linalg.pinv(design)
     at = np.array([1.0, ambient_C - float(group.ambients_C.mean())]) @ np.linalg.pinv(design)
     root = np.linalg.eigh(covariance)
-    rng = np.random.default_rng(seed)
+    rng = generator()
     half = root.eigenvectors * np.sqrt(np.maximum(root.eigenvalues, 0.0))
     y = rng.standard_normal((bands.DRAWS, m, levels)) @ half.T
     sd = np.sqrt(((y - hat @ y) ** 2).sum(axis=1) / (m - 2))

@@ -11,16 +11,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import Array, numbers, spread
+from uavbatt.validation.judging.chance import permutations
 from uavbatt.validation.study.paper_equations import DRIFT_LIMIT, drift_ratio
 
-NDIndex = NDArray[np.intp]
-PERMUTATIONS = 10_000  # a p-value of 5 % is known to 0.2 % by so many
+TREND_RUNS = 4  # the six orders of three runs give no p-value below 17 %
 LEAST_RUNS = 2  # on each side of a step
+STEP_RUNS = 2 * LEAST_RUNS + 1  # so that a step has two places at least
+STEP_PERMUTATIONS = 4000  # whole curves: a p-value of 5 % is known to 0.35 %
 EXACT_UP_TO = 60  # runs: counting takes n³ steps, and the normal approximation is good for more
 
 
@@ -93,12 +95,6 @@ def _in_order(results: ArrayLike, least: int) -> Array:
     return values
 
 
-def permutations(n: int, count: int = PERMUTATIONS, seed: int = 5725) -> NDIndex:
-    """Draw `count` seeded random orders of n things, one a row."""
-    order: NDIndex = np.argsort(np.random.default_rng(seed).random((count, n)), axis=1)
-    return order
-
-
 def paper_rule(results: ArrayLike) -> PaperDrift:
     """Apply the study's rule |d̄| < 0.2σ, equations (1)-(4). Raises NotEnoughData below three runs."""
     ratio = drift_ratio(_in_order(results, 3))
@@ -112,16 +108,16 @@ def abbe_ratio(rows: Array) -> Array:
     return ratio
 
 
-def abbe(results: ArrayLike, seed: int = 5725) -> Abbe:
+def abbe(results: ArrayLike) -> Abbe:
     """Test von Neumann's ratio: the p-value is that of a value as small or smaller under random order.
 
     Returns NaN for equal results. Raises NotEnoughData below four runs.
     """
-    values, squares = spread(_in_order(results, 4))
+    values, squares = spread(_in_order(results, TREND_RUNS))
     if squares == 0:
         return Abbe(math.nan, math.nan)
     observed = float(abbe_ratio(values))
-    random = abbe_ratio(values[permutations(len(values), seed=seed)])
+    random = abbe_ratio(values[permutations(len(values))])
     return Abbe(observed, (1 + int(np.sum(random <= observed + 1e-9))) / (len(random) + 1))
 
 
@@ -135,7 +131,7 @@ def mann_kendall(results: ArrayLike) -> MannKendall:
 
     Raises NotEnoughData below four runs.
     """
-    values = _in_order(results, 4)
+    values = _in_order(results, TREND_RUNS)
     S, n = mann_kendall_S(values), len(values)
     ties = [int(c) for c in np.unique(values, return_counts=True)[1]]
     if n <= EXACT_UP_TO:
@@ -177,7 +173,7 @@ def slope(results: ArrayLike) -> Slope:
 
     Raises NotEnoughData below four runs.
     """
-    values, _ = spread(_in_order(results, 4))
+    values, _ = spread(_in_order(results, TREND_RUNS))
     n = len(values)
     runs = np.arange(n) - (n - 1) / 2
     per_run = float(runs @ values / (runs @ runs))
@@ -201,26 +197,20 @@ def step_share(tables: Array) -> Array:
     return mean
 
 
-def step(results: ArrayLike, seed: int = 5725) -> StepTest:
-    """Find the most likely step in one column: maximal share of the sum of squares, p by permutation of the runs."""
-    values = _in_order(results, 5)
-    return curve_step(values[:, None], seed)
-
-
-def curve_step(table: Array, seed: int = 5725) -> StepTest:
+def curve_step(table: Array) -> StepTest:
     """Find the most likely step of whole curves, `table[run, time]`; every column counts alike.
 
     `size` and `p_at_place` are of the mean over the columns (unit of the results).
     Raises NotEnoughData below five runs.
     """
     n = len(table)
-    if n < 5:
-        raise NotEnoughData(f"a step needs 5 runs or more to be seen, found {n}")
+    if n < STEP_RUNS:
+        raise NotEnoughData(f"a step needs {STEP_RUNS} runs or more to be seen, found {n}")
     centred = table - table[0]
     centred = centred - centred.mean(axis=0)
     shares = step_share(centred)
-    best, after = float(shares.max()), int(np.argmax(shares)) + 2
-    random = step_share(centred[permutations(n, 4000, seed)]).max(axis=-1)
+    best, after = float(shares.max()), int(np.argmax(shares)) + LEAST_RUNS
+    random = step_share(centred[permutations(n, STEP_PERMUTATIONS)]).max(axis=-1)
     mean = np.round(centred.mean(axis=1), 12)  # equal means stay equal
     size = float(mean[after:].mean() - mean[:after].mean())
     p = (1 + int(np.sum(random >= best - 1e-9))) / (len(random) + 1)
@@ -229,8 +219,8 @@ def curve_step(table: Array, seed: int = 5725) -> StepTest:
     return StepTest(after, size, best, p, welch)
 
 
-def drift(results: ArrayLike, seed: int = 5725) -> Drift:
+def drift(results: ArrayLike) -> Drift:
     """Run every drift test on one column of results in run order. Raises NotEnoughData below four runs."""
-    values = _in_order(results, 4)
-    step_test = step(values, seed) if len(values) >= 5 else None
-    return Drift(paper_rule(values), abbe(values, seed), mann_kendall(values), slope(values), step_test)
+    values = _in_order(results, TREND_RUNS)
+    step = curve_step(values[:, None]) if len(values) >= STEP_RUNS else None
+    return Drift(paper_rule(values), abbe(values), mann_kendall(values), slope(values), step)

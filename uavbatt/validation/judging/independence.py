@@ -13,12 +13,15 @@ from itertools import combinations
 from itertools import permutations as every_order
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import Array, numbers
-from uavbatt.validation.judging.drift import NDIndex, permutations
+from uavbatt.validation.judging.chance import generator, permutations
 
+EVERY_ORDER = 7  # runs: their 5040 orders are all tried
+TWO_GROUPS_RUNS = 6  # two groups of three: fewer show no scatter of their own
+RANDOM_RESULTS = 4000  # sets of results of one population; a p-value of 5 % is known to 0.35 % by so many
 RANDOM_PAIRINGS = 20_000  # a p-value of 1 % is known to 0.07 % by so many
 DEPENDENT_BELOW = 0.01  # the level at which ISO 5725-2 calls a result an outlier
 
@@ -73,10 +76,9 @@ class Resolution:
     coarse: bool
 
 
-def _orders(n: int, count: int, seed: int) -> NDIndex:
-    if n <= 7:
-        return np.array(list(every_order(range(n))), dtype=np.intp)
-    return permutations(n, count, seed)
+def _orders(n: int) -> NDArray[np.intp]:
+    """Return orders of n runs, one a row: every order of a few runs, else random ones."""
+    return np.array(list(every_order(range(n)))) if n <= EVERY_ORDER else permutations(n, RANDOM_PAIRINGS)
 
 
 def _identical(a: Array, b: Array, resolution: float) -> Array:
@@ -85,7 +87,7 @@ def _identical(a: Array, b: Array, resolution: float) -> Array:
     return out
 
 
-def independence(first: Array, second: Array, seed: int = 5725, resolution: float = 0.0) -> Independence:
+def independence(first: Array, second: Array, resolution: float = 0.0) -> Independence:
     """Compare two tables run x time of equal shape, in the unit of the results.
 
     Readings within half a `resolution` are identical. Raises NotEnoughData below three runs, ValueError for tables of
@@ -97,7 +99,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     n = len(a)
     if n < 3:
         raise NotEnoughData(f"pairing runs at random needs three runs or more, found {n}")
-    orders = _orders(n, RANDOM_PAIRINGS, seed)
+    orders = _orders(n)
     same = _identical(a, b, resolution)
     ra, rb = a - a.mean(axis=0), b - b.mean(axis=0)
     scale = math.sqrt(float((ra**2).sum() * (rb**2).sum()))
@@ -105,7 +107,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     rows = np.arange(n)
     random_same, random_r = same[rows, orders].sum(axis=1), product[rows, orders].sum(axis=1)
     observed_same, observed_r = int(np.trace(same)), float(np.trace(product))
-    extra = 0 if n <= 7 else 1  # the full set of orders includes the observed one
+    extra = 0 if n <= EVERY_ORDER else 1  # the full set of orders includes the observed one
     total = len(orders) + extra
     p_same = (extra + int(np.sum(random_same >= observed_same))) / total
     p_r = (extra + int(np.sum(random_r >= observed_r - 1e-12))) / total
@@ -115,7 +117,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     return Independence(*counts, p_same, observed_r, p_r, dependent)
 
 
-def dependence(table: Array, seed: int = 5725, resolution: float = 0.0) -> Dependence:
+def dependence(table: Array, resolution: float = 0.0) -> Dependence:
     """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
 
     Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings (within
@@ -128,7 +130,7 @@ def dependence(table: Array, seed: int = 5725, resolution: float = 0.0) -> Depen
     scale = np.sqrt((residual**2).sum(axis=(0, 2)))
     residual = residual / np.where(scale > 0.0, scale, 1.0)[None, :, None]
     orders = [np.tile(np.arange(n), (RANDOM_PAIRINGS, 1))]
-    orders += [permutations(n, RANDOM_PAIRINGS, seed + j) for j in range(1, k)]
+    orders += [permutations(n, RANDOM_PAIRINGS, stream=j) for j in range(1, k)]
     together = np.zeros((2, RANDOM_PAIRINGS + 1))
     for i, j in combinations(range(k), 2):
         same = _identical(table[:, i], table[:, j], resolution)
@@ -153,7 +155,7 @@ def split_share(rows: Array) -> Array:
     return best
 
 
-def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) -> Bimodality:
+def bimodality(results: ArrayLike, step: float | None = None) -> Bimodality:
     """Test whether the results fall into two groups, three steps or more apart, each of two results or more.
 
     The best split is compared, at 5 %, with that of random results of one normal distribution, rounded to `step`.
@@ -161,15 +163,15 @@ def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) 
     """
     values = np.sort(numbers(results, "results"))
     n = len(values)
-    if n < 6:
+    if n < TWO_GROUPS_RUNS:
         raise NotEnoughData(f"two groups cannot be told from one with {n} results")
     grain = resolution(values).step if step is None else step
     gaps = np.diff(values)
     at = int(np.argmax(gaps)) + 1
     share = float(split_share(values))
-    random = np.random.default_rng(seed).normal(values.mean(), max(values.std(ddof=1), 1e-12), (4000, n))
+    random = generator().normal(values.mean(), max(values.std(ddof=1), 1e-12), (RANDOM_RESULTS, n))
     random = np.round(random / grain) * grain if grain > 0 else random
-    p = (1 + int(np.sum(split_share(random) >= share - 1e-9))) / 4001
+    p = (1 + int(np.sum(split_share(random) >= share - 1e-9))) / (RANDOM_RESULTS + 1)
     apart = min(at, n - at) >= 2 and float(gaps[at - 1]) >= 3 * grain - 1e-9
     return Bimodality(float(gaps.max()), (at, n - at), bool(apart and p < 0.05 and share > 0))
 
