@@ -17,11 +17,12 @@ from matplotlib.figure import Figure
 
 from uavbatt import dataset
 from uavbatt.report import validation_figures
-from uavbatt.report.page import write_page
+from uavbatt.report.page import page, write_page
 from uavbatt.report.validation import validation_report
-from uavbatt.report.validation_page import ErrorChange
+from uavbatt.report.validation_tables import gains_table
 from uavbatt.validation.gating import gate
 from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.temperature_gains import Gain
 from uavbatt.validation.iso5725 import precision
 from uavbatt.validation.judging.corridor import Corridor, corridor, corridors
 from uavbatt.validation.judging.finding import Finding
@@ -158,14 +159,10 @@ def test_a_claim_of_which_nothing_is_known_shows_no_number(passed: str) -> None:
     assert row[0].count(">–<") == 3
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_before_and_after_has_its_place(passed: str) -> None:
-    changes = (
-        ErrorChange("voltage RMSE", "mV", 107.0, 80.0, "held-out tests", 0, "yes"),
-        ErrorChange("gone", "V", NAN, 1.0, "x"),
-    )
-    words = text_of(validation_report(made(), changes=changes))
-    assert "107 mV 80 mV −25%" in words
+def test_before_and_after_is_shown_where_the_model_was_extended(passed: str) -> None:
+    gain = Gain("both", "cold", "all", 0.107, 0.080, 0.09, 0.07, p_value=0.004, holds=True)
+    words = text_of(page("", "", gains_table([gain])))
+    assert "107 mV 80 mV −25% held-out tests, all temperatures yes (p = 0.004)" in words
     assert "Before and after" not in text_of(passed)
 
 

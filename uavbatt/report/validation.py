@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import (
@@ -22,38 +20,33 @@ from uavbatt.report.page import (
     section,
 )
 from uavbatt.report.validation_figures import claim_figures, judged, mandel, over_ambient
-from uavbatt.report.validation_page import ErrorChange, ValidationPage, page_of
+from uavbatt.report.validation_page import ValidationPage, page_of
 from uavbatt.report.validation_tables import (
     agreement,
     budget_table,
-    changes_table,
     claims_table,
     data_overview,
     elsewhere,
     findings_list,
+    gains_table,
     precision_table,
 )
 from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.gating.temperatures import TemperatureLoop
 from uavbatt.validation.study.paper import PaperReplay
 from uavbatt.validation.validate import Validation
 
 
-def validation_report(
-    validation: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
-) -> str:
-    """Return the whole page as HTML.
-
-    `paper` adds the agreement with the study's printed tables; `changes` are the errors before and after extending the
-    model (default: the gains of the loop over ambient temperature, where it was run).
-    """
-    v = page_of(validation, paper, changes)
+def validation_report(validation: Validation, paper: PaperReplay | None = None) -> str:
+    """Return the whole page as HTML; `paper` adds the agreement with the study's printed tables."""
+    v = page_of(validation, paper)
     sections = [
         ("Claims", [claims_table(_at_home(v))]),
         ("Bias against the limits", _equivalence(v)),
         ("Findings about the tests", findings_list(v.found.findings)),
         ("Curves and corridors", _corridors(v)),
         ("Over ambient temperature", _ambient(v)),
-        *([("Before and after", _changes(v))] if v.changes or _conclusions(v) else []),
+        *([("Before and after", _changes(v.found.temperatures))] if v.found.temperatures is not None else []),
         ("Precision", [details("s_r, s_L, s_R of every level, and the consistency of the samples", *_precision(v))]),
         ("Uncertainty budget", _budgets(v)),
         *([("Agreement with the study's printed tables", _agreement(v.paper))]
@@ -165,15 +158,10 @@ def _ambient(v: ValidationPage) -> list[Html]:
     return [*(elsewhere(others) if others else []), *([folded] if figures else [])]
 
 
-def _changes(v: ValidationPage) -> list[Html]:
-    """Show the gains of extending the model; nothing if it was not tried."""
-    conclusions = bullets(_conclusions(v))
-    return [changes_table(v.changes), details("In words", conclusions)] if v.changes else [conclusions]
-
-
-def _conclusions(v: ValidationPage) -> tuple[str, ...]:
-    loop = v.found.temperatures
-    return () if loop is None else loop.conclusions
+def _changes(loop: TemperatureLoop) -> list[Html]:
+    """Show the gains of extending the model over temperature."""
+    conclusions = bullets(loop.conclusions)
+    return [gains_table(loop.gains), details("In words", conclusions)] if loop.gains else [conclusions]
 
 
 def _agreement(paper: PaperReplay) -> list[Html]:

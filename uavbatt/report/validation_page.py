@@ -1,4 +1,4 @@
-"""A validation with the values that only its page needs: the model's mean curve, consistency, changes in words."""
+"""A validation with the values that only its page needs: the model's mean curve, and consistency."""
 
 from __future__ import annotations
 
@@ -45,19 +45,6 @@ class ModelCurve:
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorChange:
-    """ErrorChange holds one error before and after the model was extended, on the data named."""
-
-    quantity: str
-    unit: str
-    before: float
-    after: float
-    on: str
-    decimals: int = 1
-    verdict: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class ValidationPage:
     """ValidationPage holds a validation, `found`, with the values that are worked out for the page only.
 
@@ -66,7 +53,6 @@ class ValidationPage:
 
     found: Validation
     paper: PaperReplay | None
-    changes: Sequence[ErrorChange]
     consistency: Sequence[Consistency]
     model: ModelCurve
 
@@ -76,12 +62,11 @@ class ValidationPage:
         return self.paper is not None and bool(self.paper.agreements)
 
 
-def page_of(validation: Validation, paper: PaperReplay | None, changes: Sequence[ErrorChange] | None) -> ValidationPage:
-    """Work out what the page needs besides; without `changes`, they are the gains of the loop over temperature."""
+def page_of(validation: Validation, paper: PaperReplay | None) -> ValidationPage:
+    """Work out what the page needs besides the validation."""
     return ValidationPage(
         found=validation,
         paper=paper,
-        changes=gains(validation) if changes is None else changes,
         consistency=consistency(validation.readings),
         model=mean_prediction(validation.held),
     )
@@ -102,24 +87,6 @@ def consistency(readings: Readings) -> tuple[Consistency, ...]:
             criticals = (m.h_critical_5, m.h_critical_1), (m.k_critical_5, m.k_critical_1)
             consistencies.append(Consistency(quantity, float(t), levels.samples, m.h, m.k, *criticals))
     return tuple(consistencies)
-
-
-def gains(validation: Validation) -> tuple[ErrorChange, ...]:
-    """List the gain of each extension over temperature on tests that the fit had not seen; none if not tried."""
-    if validation.temperatures is None:
-        return ()
-    return tuple(
-        ErrorChange(
-            quantity=f"voltage RMSE: {g.question}",
-            unit="mV",
-            before=1000.0 * g.before_V,
-            after=1000.0 * g.after_V,
-            on=f"held-out tests, {'all temperatures' if g.group == 'all' else g.group}",
-            decimals=0,
-            verdict=f"{'yes' if g.holds else 'no'} (p = {g.p_value:.2g})",
-        )
-        for g in validation.temperatures.gains
-    )
 
 
 def mean_prediction(held_out: HeldOut) -> ModelCurve:

@@ -24,9 +24,9 @@ from uavbatt.report.page import (
     table,
     together,
 )
-from uavbatt.report.validation_page import ErrorChange
 from uavbatt.validation.gating.budget import Budget
 from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.gating.temperature_gains import Gain
 from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.study.paper import Agreement
 from uavbatt.validation.validate import LevelPrecision
@@ -246,24 +246,18 @@ def agreement(tables: Sequence[Agreement]) -> list[Html]:
     return [table(("printed", "figures met", "counted"), body, text_columns=(0, 1, 2)), slips]
 
 
-def changes_table(changes: Sequence[ErrorChange]) -> Html:
-    """Tabulate errors before and after the model was extended."""
+def gains_table(gains: Sequence[Gain]) -> Html:
+    """Tabulate the errors on unseen tests before and after each extension of the model over temperature."""
     body = [
         (
-            c.quantity,
-            number(c.before, c.decimals, c.unit),
-            number(c.after, c.decimals, c.unit),
-            _change(c),
-            c.on,
-            c.verdict,
+            f"voltage RMSE: {g.question}",
+            number(1000.0 * g.before_V, 0, "mV"),
+            number(1000.0 * g.after_V, 0, "mV"),
+            f"{(g.after_V - g.before_V) / g.before_V:+.0%}".replace("-", "\u2212"),
+            f"held-out tests, {'all temperatures' if g.group == 'all' else g.group}",
+            f"{'yes' if g.holds else 'no'} (p = {g.p_value:.2g})",
         )
-        for c in changes
+        for g in gains
     ]
     head = ("error of", "before", "after", "change", "on", "does the gain hold?")
     return table(head, body, text_columns=(0, 4, 5))
-
-
-def _change(c: ErrorChange) -> str:
-    if not (math.isfinite(c.before) and math.isfinite(c.after)) or c.before == 0.0:
-        return DASH
-    return f"{(c.after - c.before) / abs(c.before):+.0%}".replace("-", "\u2212")

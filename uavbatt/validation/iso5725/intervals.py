@@ -15,41 +15,37 @@ from scipy import stats
 
 Interval = tuple[float, float]
 UNKNOWN: Interval = (math.nan, math.nan)
+UPPER, LOWER = 0.975, 1 - 0.975  # probabilities of the ends of a 95 % interval
 
 
-def sd_interval(sd: float, df: float, level: float = 0.95) -> Interval:
+def sd_interval(sd: float, df: float) -> Interval:
     """Return the interval of a standard deviation with `df` degrees of freedom: s·√(ν/χ²); NaN if it is unknown."""
     if df < 1 or math.isnan(sd):
         return UNKNOWN
-    high, low = (float(stats.chi2.ppf(q, df)) for q in ((1 + level) / 2, (1 - level) / 2))
+    high, low = (float(stats.chi2.ppf(q, df)) for q in (UPPER, LOWER))
     return sd * math.sqrt(df / high), sd * math.sqrt(df / low)
 
 
-def sum_interval(
-    mean_squares: Sequence[float], weights: Sequence[float], dfs: Sequence[float], level: float = 0.95
-) -> Interval:
+def sum_interval(mean_squares: Sequence[float], weights: Sequence[float], dfs: Sequence[float]) -> Interval:
     """Return the interval of √(Σ c·MS), all c >= 0 (Graybill-Wang), as a standard deviation; NaN if it is unknown."""
     ms, c, df = (np.asarray(v, dtype=float) for v in (mean_squares, weights, dfs))
     if np.any(df < 1) or np.any(np.isnan(ms)) or np.any(c < 0):
         return UNKNOWN
     parts = c * ms
-    g = 1 - df / stats.chi2.ppf((1 + level) / 2, df)
-    h = df / stats.chi2.ppf((1 - level) / 2, df) - 1
+    g = 1 - df / stats.chi2.ppf(UPPER, df)
+    h = df / stats.chi2.ppf(LOWER, df) - 1
     low = float(parts.sum() - np.sqrt(np.sum((g * parts) ** 2)))
     high = float(parts.sum() + np.sqrt(np.sum((h * parts) ** 2)))
     return math.sqrt(max(low, 0.0)), math.sqrt(high)
 
 
-def between_interval(
-    ms_between: float, ms_within: float, dfs: tuple[float, float], n_bar: float, level: float = 0.95
-) -> Interval:
+def between_interval(ms_between: float, ms_within: float, dfs: tuple[float, float], n_bar: float) -> Interval:
     """Return the interval of s_L, with s_L² = (MS_b - MS_w)/n̄ (Williams-Tukey); 0 where the limit is negative."""
     df_b, df_w = dfs
     if df_b < 1 or df_w < 1:
         return UNKNOWN
-    upper, lower = (1 + level) / 2, (1 - level) / 2
     ends = []
-    for q in (upper, lower):
+    for q in (UPPER, LOWER):
         excess = ms_between - ms_within * stats.f.ppf(q, df_b, df_w)
         ends.append(math.sqrt(max(float(df_b * excess / (n_bar * stats.chi2.ppf(q, df_b))), 0.0)))
     return ends[0], ends[1]

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 from uavbatt.validation.judging.chance import generator
 
+CONTENT, CONFIDENCE = 0.95, 0.95  # share that a band holds, and the certainty that a tolerance band does
 DRAWS = 4000  # the share that a 95 % band holds is known to 0.35 % by so many draws
 
 
@@ -32,22 +33,28 @@ class Components:
     occasions: int
     samples: int
 
-    def sd(self, with_samples: bool) -> Array:
-        """Return the SD of one new result per level: occasion and residual, and sample if asked for."""
-        total = self.occasion + self.residual + (self.sample if with_samples else 0.0)
+    @property
+    def has_samples(self) -> bool:
+        """Return True if enough samples were tested to know how samples differ."""
+        return self.samples >= LEAST_SAMPLES
+
+    @property
+    def sd(self) -> Array:
+        """Return the SD of one new result per level: occasion and residual, and sample where it is known."""
+        total = self.occasion + self.residual + (self.sample if self.has_samples else 0.0)
         root: Array = np.sqrt(np.maximum(np.diag(total), 0.0))
         return root
 
 
-def tolerance_factor(n: float, df: float, content: float = 0.95, confidence: float = 0.95) -> float:
-    """Return k with x̄ ± k·s holding `content` of the population with `confidence`: z·√(ν(1+1/n)/χ²(1-γ;ν)) (Howe).
+def tolerance_factor(n: float, df: float, ) -> float:
+    """Return k with x̄ ± k·s holding CONTENT of the population with CONFIDENCE γ: z·√(ν(1+1/n)/χ²(1-γ;ν)) (Howe).
 
     n : number of results behind the mean, df : degrees of freedom ν of s; NaN where they are too few.
     """
     if df < 1 or n <= 0:
         return math.nan
-    z = float(stats.norm.ppf((1 + content) / 2))
-    return z * math.sqrt(df * (1 + 1 / n) / float(stats.chi2.ppf(1 - confidence, df)))
+    z = float(stats.norm.ppf((1 + CONTENT) / 2))
+    return z * math.sqrt(df * (1 + 1 / n) / float(stats.chi2.ppf(1 - CONFIDENCE, df)))
 
 
 def components(y: Array) -> Components:
@@ -77,7 +84,7 @@ def _root(matrix: Array) -> Array:
     return root
 
 
-def new_curve_scores(parts: Components, with_samples: bool) -> tuple[Array, Array]:
+def new_curve_scores(parts: Components) -> tuple[Array, Array]:
     """Simulate |new curve - mean|/s, [draw, level], with s by the crossed model and s the plain SD of all results.
 
     One draw repeats the whole experiment (occasions x samples), estimates mean and s, and tests one new curve.
@@ -93,16 +100,16 @@ def new_curve_scores(parts: Components, with_samples: bool) -> tuple[Array, Arra
 
     y = draw(occasion, o, 1) + draw(residual, o, k)
     new = draw(occasion) + draw(residual)
-    if with_samples:
+    if parts.has_samples:
         y, new = y + draw(sample, 1, k), new + draw(sample)
     mean = y.mean(axis=(1, 2))
     plain = y.reshape(DRAWS, o * k, size).std(axis=1, ddof=1)
-    modelled = np.sqrt(_variance(y, with_samples))
+    modelled = np.sqrt(_variance(y))
     gap = np.abs(new - mean)
     return _ratio(gap, modelled), _ratio(gap, plain)
 
 
-def _variance(y: Array, with_samples: bool) -> Array:
+def _variance(y: Array) -> Array:
     """Return s_I² (or s_R²) per draw and level of `y[draw, occasion, sample, level]`."""
     _, o, k, _ = y.shape
     rows, columns, grand = y.mean(axis=2), y.mean(axis=1), y.mean(axis=(1, 2))
@@ -112,7 +119,7 @@ def _variance(y: Array, with_samples: bool) -> Array:
     e = y - rows[:, :, None] - columns[:, None] + grand[:, None, None]
     ms_e = (e**2).sum(axis=(1, 2)) / ((o - 1) * (k - 1))
     total: Array = np.maximum((ms_o - ms_e) / k, 0.0) + ms_e
-    if with_samples:
+    if k >= LEAST_SAMPLES:
         ms_s = o * ((columns - grand[:, None]) ** 2).sum(axis=1) / (k - 1)
         total = total + np.maximum((ms_s - ms_e) / o, 0.0)
     return total
@@ -125,9 +132,9 @@ def _ratio(gap: Array, sd: Array) -> Array:
     return ratio
 
 
-def simultaneous_factor(scores: Array, content: float = 0.95) -> float:
-    """Return the factor that holds a new curve at all levels at once with probability `content`."""
-    return float(np.quantile(scores.max(axis=1), content))
+def simultaneous_factor(scores: Array) -> float:
+    """Return the factor that holds a new curve at all levels at once with probability CONTENT."""
+    return float(np.quantile(scores.max(axis=1), CONTENT))
 
 
 def coverage(scores: Array, factor: float) -> tuple[float, float]:

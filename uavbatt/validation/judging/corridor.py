@@ -183,15 +183,14 @@ def from_table(ambient_C: float, quantity: str, at: Array, table: Array, notes: 
     """
     o, k, levels = table.shape
     parts = bands.components(table)
-    with_samples = k >= LEAST_SAMPLES
-    s = parts.sd(with_samples)
+    s = parts.sd
     s_r, s_o, s_s = (np.sqrt(np.maximum(np.diag(m), 0.0)) for m in (parts.residual, parts.occasion, parts.sample))
     if k == 1:
         s_r = np.full(levels, math.nan)
-    u2 = s_o**2 / o + np.nan_to_num(s_r) ** 2 / (o * k) + (s_s**2 / k if with_samples else 0.0)
-    df = _effective_df(parts, with_samples)
+    u2 = s_o**2 / o + np.nan_to_num(s_r) ** 2 / (o * k) + (s_s**2 / k if parts.has_samples else 0.0)
+    df = _effective_df(parts)
     n_eff = np.divide(s**2, u2, out=np.full(levels, float(o)), where=u2 > 0)
-    by_model, by_plain = bands.new_curve_scores(parts, with_samples)
+    by_model, by_plain = bands.new_curve_scores(parts)
     factor = bands.simultaneous_factor(by_model)
     tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, df, strict=True)])
     one, every = bands.coverage(by_plain, 2.0)
@@ -204,7 +203,7 @@ def from_table(ambient_C: float, quantity: str, at: Array, table: Array, notes: 
     )  # fmt: skip
 
 
-def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
+def _effective_df(parts: bands.Components) -> Array:
     """Return the Satterthwaite degrees of freedom of s² per level."""
     o, k = parts.occasions, parts.samples
     if k == 1:
@@ -213,8 +212,8 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     dfs = (o - 1.0, (o - 1.0) * (k - 1.0), k - 1.0)
     df = []
     for a, b, e in zip(v_o, v_s, v_e, strict=True):
-        rest = 1 - 1 / k - (1 / o if with_samples else 0.0)
-        terms = [(k * a + e) / k, rest * e, (o * b + e) / o if with_samples else 0.0]
+        rest = 1 - 1 / k - (1 / o if parts.has_samples else 0.0)
+        terms = [(k * a + e) / k, rest * e, (o * b + e) / o if parts.has_samples else 0.0]
         df.append(satterthwaite(terms, dfs) if sum(terms) > 0 else float(o - 1))
     return np.array(df)
 
