@@ -13,7 +13,6 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import unit_words
 from uavbatt.diagnosis.blocks import EvidenceBlock
@@ -26,6 +25,7 @@ from uavbatt.files import without_none
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
+    answer,
     bullets,
     details,
     element,
@@ -61,28 +61,23 @@ def diagnosis_report(diagnosis: Diagnosis, closed: ClosedLoop, old: BatteryFile,
 
     closed : errors on held-out records before and after the diagnosis; old, new : the battery file before and after
     """
-    mood, answer = ANSWERS[diagnosis.verdict]
+    mood, words = ANSWERS[diagnosis.verdict]
     several = len(diagnosis.classes) > 1
-    answer = TOGETHER if several and diagnosis.verdict == "effect_found" else answer
+    words = TOGETHER if several and diagnosis.verdict == "effect_found" else words
     may_hide = [paragraph(MAY_HIDE)] if diagnosis.may_hide else []
-    notes = _notes(diagnosis, old)
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        element(
-            "div",
-            paragraph(strong(answer)),
-            *may_hide,
-            *(_suspect(c, several) for c in diagnosis.classes),
-            css=f"answer {mood}",
+        answer(
+            paragraph(strong(words)), *may_hide, *(_suspect(c, several) for c in diagnosis.classes), mood=mood
         ),
-        *([section("Doubts", bullets(diagnosis.reasons))] if diagnosis.reasons else []),
+        section("Doubts", bullets(diagnosis.reasons)),
         *([section("Where the evidence lies", evidence_figure(diagnosis.blocks))] if diagnosis.blocks else []),
         section("Error before and after", _errors(closed, diagnosis.floor_V), *_worse(closed)),
         section("Residuals, measured minus modelled", *_residuals(diagnosis)),
         section("Change of the battery file", *_changes(diagnosis, difference(old, new))),
-        *([section("Notes", bullets(notes))] if notes else []),
-        footer=f"uavbatt {__version__}. A small residual after the fix proves little: do the check first.",
+        section("Notes", bullets(_notes(diagnosis, old))),
+        footer="A small residual after the fix proves little: do the check first.",
     )
 
 

@@ -10,16 +10,15 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt import __version__
 from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
     DASH,
     Html,
+    answer,
     badge,
     bullets,
     details,
-    element,
     facts,
     grid,
     number,
@@ -56,7 +55,6 @@ def fleet_report(overview: Overview, battery: str, remarks: Sequence[tuple[str, 
         *(parts if overview.flights or not overview.failed else []),
         *([section("Logs that could not be replayed", _failed(overview))] if overview.failed else []),
         section("The run", facts([("battery file", battery), *remarks])),
-        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
 
 
@@ -88,7 +86,7 @@ def _answer(overview: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
         none_replayed = (
             f"None of {counted(failed, 'log')} could be replayed: this fleet is not known. The reasons are below."
         )
-        return element("div", paragraph(none_replayed), css="answer bad")
+        return answer(paragraph(none_replayed), mood="bad")
     hours = sum(g.flown_s for g in overview.groups.values()) / 3600.0
     failures = f"; {counted(failed, 'log')} could not be replayed" if failed else ""
     first = f"{counted(overview.flights, 'flight')} in {number(hours, 1)} h; {overview.looked} need a look{failures}."
@@ -108,7 +106,7 @@ def _answer(overview: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
             *(badge(status) for status in sorted(overview.certificates)), f" battery file: {battery}.", css="quiet"
         )
     )
-    return element("div", *paragraphs, css="answer unsure" if failed else "answer")
+    return answer(*paragraphs, mood="unsure" if failed else "")
 
 
 def _health_words(ranked: Sequence[Ranked]) -> str:

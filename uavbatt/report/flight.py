@@ -8,7 +8,6 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Outcome
@@ -25,6 +24,7 @@ from uavbatt.report.page import (
     DASH,
     UNKNOWN,
     Html,
+    answer,
     badge,
     bullets,
     details,
@@ -78,7 +78,6 @@ def flight_report(
         section("Forecast against the truth", _checkpoints(outcome)),
         section("Battery and certificate", *_battery(resolved, battery)),
         section("The log", *_log(flight, outcome, steps)),
-        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
         script=cursor_script(chart_rows),
     )
 
@@ -110,7 +109,7 @@ def _answer(outcome: Outcome, resolved: PackSize, periods: Sequence[Stretch], st
     first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
     limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, periods)]
     status = element("span", badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}")
-    return element("div", paragraph(first), bullets([*filter(None, limits), status]), css="answer")
+    return answer(paragraph(first), bullets([*filter(None, limits), status]))
 
 
 def _refused_words(outcome: Outcome, periods: Sequence[Stretch]) -> str:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt import __version__
 from uavbatt.battery.effects import unit_words
 from uavbatt.diagnosis.follow import Follow, FollowedEffect
 from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.diagnosis.words import QUANTITY
 from uavbatt.report import plot
 from uavbatt.report.diagnosis import suspect
-from uavbatt.report.page import Html, bullets, element, figure, number, page, paragraph, section, strong, table
+from uavbatt.report.page import Html, answer, bullets, element, figure, number, page, paragraph, section, strong, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,18 +29,18 @@ ANSWERS = {
 
 def follow_report(follow: Follow, dates: Sequence[str], battery: str) -> str:
     """Return the whole page as HTML; `dates` are the days of the flights, empty where they are not known."""
-    mood, answer = ANSWERS[follow.verdict]
+    mood, words = ANSWERS[follow.verdict]
     parts = [_effect_part(one, follow, dates) for one in follow.effects]
     notes = [f"Left out, too short to tell anything: {name}." for name in follow.left_out]
     return page(
         f"{battery}: {len(follow.flights)} flights in order of time",
         "uavbatt diagnose --follow",
-        element("div", paragraph(strong(answer)), *parts, css=f"answer {mood}"),
-        *([section("Doubts", bullets(follow.reasons))] if follow.reasons else []),
+        answer(paragraph(strong(words)), *parts, mood=mood),
+        section("Doubts", bullets(follow.reasons)),
         *(section(_title(one), course_figure(one)) for one in follow.effects),
         section("Flights", _flights(follow, dates)),
-        *([section("Notes", bullets(notes))] if notes else []),
-        footer=f"uavbatt {__version__}. Each point is one flight by itself, with its 95 % interval.",
+        section("Notes", bullets(notes)),
+        footer="Each point is one flight by itself, with its 95 % interval.",
     )
 
 

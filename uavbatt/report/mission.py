@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt import __version__
 from uavbatt.plan.mission import MissionPlan, RouteFit
 from uavbatt.prediction.route_legs import Point
 from uavbatt.records import IN_TIME
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
+    answer,
     badge,
     bullets,
     celsius,
     clock,
     duration,
-    element,
     facts,
     figure,
     grid,
@@ -51,13 +50,12 @@ def mission_report(plan: MissionPlan, name: str) -> str:
         section("Leg by leg", _legs(plan)),
         section("Over ambient temperature", _temperatures(plan)),
         section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
-        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
 
 
 def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
-    answer = paragraph(
+    first = paragraph(
         f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
         f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
     )
@@ -76,7 +74,7 @@ def _answer(plan: MissionPlan) -> Html:
         words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
         turn = [paragraph(strong(words))]
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
-    return element("div", answer, *turn, end, spare, quiet, css="answer good" if here.fits else "answer bad")
+    return answer(first, *turn, end, spare, quiet, mood="good" if here.fits else "bad")
 
 
 def _charge(plan: MissionPlan) -> Html:

@@ -8,12 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uavbatt import __version__
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
 from uavbatt.packs.records import LedgerFlight, PackRow
 from uavbatt.packs.words import retire_words, trend_words
 from uavbatt.report import plot
-from uavbatt.report.page import Html, bullets, contents, element, figure, grid, number, page, paragraph, section, table
+from uavbatt.report.page import (
+    Html,
+    answer,
+    bullets,
+    contents,
+    figure,
+    grid,
+    number,
+    page,
+    paragraph,
+    section,
+    table,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,19 +52,19 @@ def packs_report(
         ),
         section("All packs", _side_by_side(in_order), _table(in_order)),
         *(_of_one(pack, flights) for pack, flights in histories),
-        footer=f"uavbatt {__version__}. Bands: 5 % to 95 %.",
+        footer="Bands: 5 % to 95 %.",
     )
 
 
 def _headline(packs: Sequence[PackRow]) -> Html:
     if not packs:
-        return element("div", paragraph("No packs are remembered yet."), css="answer unsure")
+        return answer(paragraph("No packs are remembered yet."), mood="unsure")
     first = packs[0]
     count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered."
     if not math.isfinite(first.outlook.retire_flights):
-        return element("div", paragraph("No end in sight for any of them."), paragraph(count), css="answer")
+        return answer(paragraph("No end in sight for any of them."), paragraph(count))
     words = paragraph(f"First to retire: {first.name}, {retire_words(first.outlook)}.")
-    return element("div", words, paragraph(count), css="answer")
+    return answer(words, paragraph(count))
 
 
 def _table(packs: Sequence[PackRow]) -> Html:

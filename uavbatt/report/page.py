@@ -16,10 +16,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from uavbatt import output
+from uavbatt import __version__, output
 from uavbatt.errors import printable
 from uavbatt.files import atomic_write
 
+ADVISORY = "Advisory: this page commands nothing and replaces no reserve."
 UNKNOWN = "not known"
 DASH = "–"
 Mood = Literal["good", "bad", "unsure", "plain"]
@@ -81,8 +82,15 @@ def badge(verdict: str, words: str = "") -> Html:
     return element("span", f"{SIGNS[mood]} {words or verdict}", css=f"badge {mood}")
 
 
+def answer(*content: str, mood: str = "") -> Html:
+    """Return the box at the top of a page, in the colour of a mood (`good`, `bad`, `unsure`) or without one."""
+    return element("div", *content, css=f"answer {mood}".rstrip())
+
+
 def section(title: str, *content: str, css: str = "") -> Html:
-    """Return a part of the page under its own heading, to which `contents` can link."""
+    """Return a part of the page under its own heading, to which `contents` can link; nothing without content."""
+    if not any(content):
+        return Html("")
     heading = Html(f'<h2 id="{_anchor(title)}">{safe(title)}</h2>')
     return element("section", heading, *content, css=css)
 
@@ -193,10 +201,11 @@ def celsius(temp_C: float) -> str:
     return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
 
 
-def page(title: str, kicker: str, *content: str, footer: str = "", script: str = "") -> str:
+def page(title: str, kicker: str, *content: str, footer: str = ADVISORY, script: str = "") -> str:
     """Return the whole document: HTML that is also well-formed XML, so that a test can parse it strictly.
 
-    script : markup of the page's own script, the only one that its policy allows
+    footer : the last sentence, after the name of the program; script : markup of the page's own script, the only one
+    that its policy allows
     """
     css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
     return "\n".join(
@@ -215,7 +224,7 @@ def page(title: str, kicker: str, *content: str, footer: str = "", script: str =
             '<a class="skip" href="#main">Skip to the answer</a>',
             element("header", paragraph(kicker, css="kicker"), element("h1", title)),
             Html(f'<main id="main">{together(content, "")}</main>'),
-            element("footer", footer),
+            element("footer", f"uavbatt {__version__}. {footer}"),
             script,
             "</body>",
             "</html>\n",

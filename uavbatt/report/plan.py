@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt import __version__
 from uavbatt.battery.sizing import PackSize
 from uavbatt.plan.endurance import Endurance, Plan
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
+    answer,
     badge,
     bullets,
     celsius,
@@ -41,7 +41,6 @@ def plan_report(plan: Plan) -> str:
         _answer(plan),
         section("Over ambient temperature", _figure(plan), _table(plan)),
         section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
-        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
 
 
@@ -50,8 +49,8 @@ def _answer(plan: Plan) -> Html:
     status = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
     if not math.isfinite(here.median_s):
         words = f"The endurance at {celsius(here.ambient_C)} is {here.remark or 'not known'}."
-        return element("div", paragraph(words), status, css="answer unsure")
-    answer = paragraph(
+        return answer(paragraph(words), status, mood="unsure")
+    first = paragraph(
         f"{duration(here.median_s)} at {celsius(here.ambient_C)}, probably between {duration(here.lo_s)} and "
         f"{duration(here.hi_s)} (9 in 10)."
     )
@@ -60,7 +59,7 @@ def _answer(plan: Plan) -> Html:
         f"take-off: {percent(plan.start_soc)}."
     )
     remark = [paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []
-    return element("div", answer, terms, *remark, status, css="answer")
+    return answer(first, terms, *remark, status)
 
 
 def _figure(plan: Plan) -> Html:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import (
     MOODS,
     Html,
+    answer,
     badge,
     bullets,
     celsius,
     contents,
     details,
-    element,
     facts,
     grid,
     page,
@@ -59,7 +58,7 @@ def validation_report(validation: Validation, paper: PaperReplay | None = None) 
         _answer(v),
         contents(*(title for title, _ in sections)),
         *(section(title, *content) for title, content in sections),
-        footer=f"uavbatt {__version__}. A certificate holds for the range it names and for packs of the same make.",
+        footer="A certificate holds for the range it names and for packs of the same make.",
     )
 
 
@@ -72,13 +71,12 @@ def _answer(v: ValidationPage) -> Html:
     serious = sum(f.severity == "serious" for f in v.found.findings)
     first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
     limits = "; ".join(f"{name} {value}" for name, value in _limits(v))
-    return element(
-        "div",
+    return answer(
         paragraph(badge(v.found.verdict), f" {verdict_sentence(v)}"),
         *([paragraph(first)] if serious else []),
         paragraph(f"Limits, declared before the data were seen: {limits}."),
         paragraph(_shipped(v.found)),
-        css=f"answer {MOODS.get(v.found.verdict, '')}",
+        mood=MOODS.get(v.found.verdict, ""),
     )
 
 
