@@ -13,7 +13,7 @@ from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
-from uavbatt.plan.endurance import resolve
+from uavbatt.plan.endurance import TakeOff, resolve
 from uavbatt.plan.mission import MissionPlan, PlannedMission, make_route_plan
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 
@@ -54,4 +54,4 @@ def planned(
     battery = battery_file.read_battery("lipo-generic")
     size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     asked = PlannedMission(mission(*items), HOME, settings, POWERS, wind or Wind(0.0, 0.0))
-    return make_route_plan(battery, size, asked, ambient_C, reserve_soc=reserve_soc, remembered=remembered)
+    return make_route_plan(battery, size, asked, TakeOff(ambient_C, reserve_soc=reserve_soc, remembered=remembered))

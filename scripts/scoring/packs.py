@@ -23,7 +23,7 @@ from uavbatt.log_replay.run import steps
 from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import LedgerFlight
-from uavbatt.plan.endurance import endurance
+from uavbatt.plan.endurance import TakeOff, endurance
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
@@ -123,7 +123,7 @@ def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackH
     ahead = answer.time_s >= answer.start_s
     load = LoggedLoad(answer.time_s[ahead] - answer.start_s, answer.power_W[ahead])
     soc = min(answer.start_soc, 1.0)
-    planned = endurance(battery, estimator.pack_size, load, answer.ambient_C, soc, 0.0, known)
+    planned = endurance(battery, estimator.pack_size, load, TakeOff(answer.ambient_C, soc, remembered=known))
     return Forecast(tuple(errors), tuple(inside), planned.median_s / length_s - 1.0)
 
 

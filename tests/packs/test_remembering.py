@@ -96,7 +96,7 @@ def test_a_flight_that_cannot_tell_says_why(emptied, changed, words):
 
 
 def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):
-    from uavbatt.plan.endurance import endurance, resolve
+    from uavbatt.plan.endurance import TakeOff, endurance, resolve
     from uavbatt.prediction.load import ConstantLoad
 
     with Ledger(tmp_path / "packs.sqlite") as ledger:
@@ -104,7 +104,7 @@ def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, re
         known = remembering.health_before(ledger, "A", flight(2, share=0.1), BATTERY)
     load, size = ConstantLoad(160.0, 0.01), resolve(BATTERY, OPTIONS)
     true_s = flight(2).samples[-1].time_s - 40.0  # idle before the take-off and after the end
-    new, met = (endurance(BATTERY, size, load, 25.0, 1.0, 0.0, health).median_s for health in (None, known))
+    new, met = (endurance(BATTERY, size, load, TakeOff(25.0, remembered=health)).median_s for health in (None, known))
     assert abs(met - true_s) < 0.06 * true_s
     assert abs(met - true_s) < 0.5 * abs(new - true_s)
 

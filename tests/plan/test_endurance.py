@@ -23,7 +23,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan.endurance import TABLE_C, Endurance, endurance, make_plan, resolve
+from uavbatt.plan.endurance import TABLE_C, Endurance, TakeOff, endurance, make_plan, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.prediction.take_off import FromTakeOff
@@ -48,7 +48,7 @@ def planned(
 ) -> Endurance:
     content = battery or battery_file.read_battery("lipo-generic")
     load = ConstantLoad(power_W, 0.04)
-    return endurance(content, resolve(content, OPTIONS), load, ambient_C, start_soc)
+    return endurance(content, resolve(content, OPTIONS), load, TakeOff(ambient_C, start_soc))
 
 
 def test_a_pack_that_is_at_its_end_says_so() -> None:
@@ -111,7 +111,7 @@ def test_outside_the_validated_range_is_said() -> None:
     assert "outside the validated range" in planned(ambient_C=50.0, battery=battery).remark
     assert planned(ambient_C=25.0, battery=battery).remark == ""
     assert planned(ambient_C=25.0).remark == "not tested at any temperature"
-    warned = make_plan(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), 20.0).warnings
+    warned = make_plan(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), TakeOff(20.0)).warnings
     assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
 
 
@@ -211,7 +211,7 @@ def test_with_a_vehicle_file(tmp_path: Path) -> None:
     assert code == 0 and "as quad flew 10 times" in said
     load = FromTakeOff(learned_load(flown))
     content = battery_file.read_battery("lpab-3s")  # a tested make: the median of 128 ends scatters less
-    told = endurance(content, resolve(content, OPTIONS), load, 20.0)
+    told = endurance(content, resolve(content, OPTIONS), load, TakeOff(20.0))
     assert told.median_s == pytest.approx(planned(250.0, battery=content).median_s, rel=0.02)
 
 
@@ -222,7 +222,7 @@ def test_a_part_used_pack_flies_the_flight_from_its_start() -> None:
     phases = Phases(take_off_W=100.0, flight_W=300.0, last_minute_W=500.0)
     load = FromTakeOff(learned_load(VehicleFile(name="q", battery="b", phases=phases, traces=[trace])))
     content = battery_file.read_battery("lipo-generic")
-    told = endurance(content, resolve(content, OPTIONS), load, 20.0, start_soc=0.2)
+    told = endurance(content, resolve(content, OPTIONS), load, TakeOff(20.0, start_soc=0.2))
     assert told.median_s == pytest.approx(planned(100.0, start_soc=0.2).median_s, rel=0.1)
 
 
@@ -244,7 +244,7 @@ def test_no_headline_where_the_file_knows_nothing(tmp_path: Path) -> None:
     certificate = msgspec.structs.replace(content.certificate, statistics=warm)
     seen = msgspec.structs.replace(content, certificate=certificate)
     size = resolve(seen, OPTIONS)
-    cold, mild = (make_plan(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), t) for t in (5.0, 12.0))
+    cold, mild = (make_plan(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), TakeOff(t)) for t in (5.0, 12.0))
     assert math.isnan(cold.here.median_s) and cold.here.remark == "not known: outside the fitted range: 15 °C to 38 °C"
     assert mild.here.median_s > 0.0
     greyed = {row.ambient_C: row.remark for row in cold.rows}

@@ -73,7 +73,7 @@ def plan(
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
     from uavbatt.battery.remembered import of_known_cells
-    from uavbatt.plan.endurance import make_plan, resolve
+    from uavbatt.plan.endurance import TakeOff, make_plan, resolve
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
@@ -89,12 +89,12 @@ def plan(
     with pack_memory.open_memory(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
     resolved = resolve(content, of_known_cells(options, remembered), flight)
+    take_off = TakeOff(ambient_c, start_soc, reserve_soc, remembered)
     if mission is not None and vehicle is not None:
-        conditions = (ambient_c, start_soc, reserve_soc)
-        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)
+        plan_mission(mission, vehicle, wind, content, resolved, take_off, (report, summary))
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
-    found = make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
+    found = make_plan(content, resolved, load, take_off)
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:

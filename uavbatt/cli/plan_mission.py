@@ -13,8 +13,8 @@ from uavbatt.output import clock
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackSize
+    from uavbatt.plan.endurance import TakeOff
     from uavbatt.plan.mission import LegEnd, MissionPlan, RouteFit
     from uavbatt.records import Route
 
@@ -27,15 +27,10 @@ def plan_mission(
     wind: str | None,
     content: BatteryFile,
     resolved: PackSize,
-    conditions: tuple[float, float, float],
+    take_off: TakeOff,
     outputs: tuple[Path | None, Path | None],
-    remembered: PackHealth | None = None,
 ) -> None:
-    """Print whether the mission fits, and write the outputs.
-
-    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON; remembered : health of the
-    pack from the ledger
-    """
+    """Print whether the mission fits, and write the outputs: page, JSON."""
     import msgspec
 
     from uavbatt.battery import vehicle_file
@@ -56,7 +51,7 @@ def plan_mission(
         settings = replace(settings, cruise_ms=read.cruise_ms)
     settings = replace(settings, is_px4=not read.mission.has_home_item)
     planned = PlannedMission(read.mission, read.home, settings, flown.powers, air)
-    found = make_route_plan(content, resolved, planned, *conditions, remembered)
+    found = make_route_plan(content, resolved, planned, take_off)
     report, summary = outputs
     for line in _lines(found, mission.name):
         say(line, report, summary)
@@ -68,7 +63,7 @@ def plan_mission(
     if summary is not None:
         from uavbatt.files import write_json
 
-        write_json(summary, _summary(found, mission.name, conditions[2], content.certificate.content_sha256))
+        write_json(summary, _summary(found, mission.name, take_off.reserve_soc, content.certificate.content_sha256))
 
 
 def _lines(plan: MissionPlan, name: str) -> list[str]:

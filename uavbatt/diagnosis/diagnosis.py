@@ -9,7 +9,7 @@ verdict is `undeclared_effect` and the effect is a suspect: it enters the model 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -260,16 +260,15 @@ def doubts(
             f"the temperature residual is still {residual.size_K(after):.1f} K, {misfit.temperature:.1f} times what "
             "this battery's model leaves (chi-square)"
         )
-    for finding in findings:
-        constancy = finding.worth.constancy
-        if finding.drift is not None:
-            reasons.append(drift.words(finding.drift))
-        elif constancy is not None and not finding.steady:
-            reasons.append(
-                f"{finding.name} is not the same in all records (they differ by {constancy.spread:.0%} of it)"
-            )
-        if all(m.candidate.name in m.candidate.resized for m in finding.members):
-            reasons.append(
-                f"no new effect explains it, only another size of {finding.name}, which the file already has"
-            )
-    return tuple(reasons)
+    return (*reasons, *(reason for finding in findings for reason in _doubts_of(finding)))
+
+
+def _doubts_of(finding: FoundEffect) -> Iterator[str]:
+    """Yield the reasons why an effect that was found is not believed to be the cause."""
+    constancy = finding.worth.constancy
+    if finding.drift is not None:
+        yield drift.words(finding.drift)
+    elif constancy is not None and not finding.steady:
+        yield f"{finding.name} is not the same in all records (they differ by {constancy.spread:.0%} of it)"
+    if all(m.candidate.name in m.candidate.resized for m in finding.members):
+        yield f"no new effect explains it, only another size of {finding.name}, which the file already has"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,22 +82,20 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     return found
 
 
-def make_plan(
-    battery: BatteryFile,
-    resolved: PackSize,
-    load: tuple[Load, str],
-    ambient_C: float,
-    start_soc: float = 1.0,
-    reserve_soc: float = 0.0,
-    remembered: PackHealth | None = None,
-) -> Plan:
-    """Return the plan for a load and its name; `remembered` : health of the pack from the ledger.
+class TakeOff(NamedTuple):
+    """TakeOff says how a flight begins: the air [°C], the charge, the charge that ends it, and the pack's health."""
 
-    Raises UsageError for a power that the pack cannot give.
-    """
+    ambient_C: float
+    start_soc: float = 1.0
+    reserve_soc: float = 0.0
+    remembered: PackHealth | None = None  # by the ledger
+
+
+def make_plan(battery: BatteryFile, resolved: PackSize, load: tuple[Load, str], take_off: TakeOff) -> Plan:
+    """Return the plan for a load and its name. Raises UsageError for a power that the pack cannot give."""
 
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
-        return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc, remembered) for t in ambients_C)
+        return tuple(endurance(battery, resolved, load[0], take_off._replace(ambient_C=t)) for t in ambients_C)
 
     doubt = None
     if isinstance(load[0], ConstantLoad):
@@ -107,7 +106,8 @@ def make_plan(
     curve = at(CURVE_C)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
     warnings = (*filter(None, (resolved.uncertified, doubt.words if doubt is not None else "")), *resolved.notices)
-    return Plan(resolved, load[1], start_soc, _headline(battery, at([ambient_C])[0]), rows, curve, warnings)
+    here = _headline(battery, at([take_off.ambient_C])[0])
+    return Plan(resolved, load[1], take_off.start_soc, here, rows, curve, warnings)
 
 
 def _headline(battery: BatteryFile, found: Endurance) -> Endurance:
@@ -117,16 +117,9 @@ def _headline(battery: BatteryFile, found: Endurance) -> Endurance:
     return Endurance(found.ambient_C, NAN, NAN, NAN, NAN, f"not known: {range_remark(battery, found.ambient_C)}")
 
 
-def endurance(
-    battery: BatteryFile,
-    resolved: PackSize,
-    load: Load,
-    ambient_C: float,
-    start_soc: float = 1.0,
-    reserve_soc: float = 0.0,
-    remembered: PackHealth | None = None,
-) -> Endurance:
-    """Return the time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
+def endurance(battery: BatteryFile, resolved: PackSize, load: Load, take_off: TakeOff) -> Endurance:
+    """Return the time from take-off to the end of flight, the pack rested and as warm as the air."""
+    ambient_C, start_soc, reserve_soc, remembered = take_off
     pack = with_reaction(sized(battery, resolved), remembered)
     forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)

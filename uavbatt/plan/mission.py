@@ -16,13 +16,13 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import most_energy_Wh
 from uavbatt.battery.powers import Powers
-from uavbatt.battery.remembered import PackHealth, with_reaction
+from uavbatt.battery.remembered import with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
-from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, range_remark, rested
+from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, TakeOff, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
@@ -119,18 +119,10 @@ class MissionPlan:
 
 
 def make_route_plan(
-    battery: BatteryFile,
-    resolved: PackSize,
-    planned: PlannedMission,
-    ambient_C: float,
-    start_soc: float = 1.0,
-    reserve_soc: float = 0.0,
-    remembered: PackHealth | None = None,
+    battery: BatteryFile, resolved: PackSize, planned: PlannedMission, take_off: TakeOff
 ) -> MissionPlan:
-    """Return the plan of a mission; `remembered` : health of the pack from the ledger.
-
-    Raises UsageError for a mission that is not understood or has no end.
-    """
+    """Return the plan of a mission. Raises UsageError for one that is not understood or has no end."""
+    ambient_C, start_soc, reserve_soc, remembered = take_off
     ahead, way = planned.ahead()
     pack = with_reaction(sized(battery, resolved), remembered)
 
