@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,15 @@ from uavbatt.validation.judging.corridor import Corridor
 UNMEASURED_RMSE_K = 2.0  # assumed of a model whose temperature nobody has measured
 
 
+class ShippedModel(NamedTuple):
+    """ShippedModel holds the model fitted to all runs, the capacity [Ah] that it is for, and statistics of the fit."""
+
+    parameters: ParameterTable
+    effects: list[EffectEntry]
+    capacity_Ah: float | None
+    statistics: dict[str, float]
+
+
 def battery_file(
     dataset: DataSet,
     held_out: HeldOut,
@@ -43,28 +53,27 @@ def battery_file(
     `corridor` of the voltage.
     """
     fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held_out.ambient_C)
-    table, effects, capacity_Ah, extra = fitted
     cells = dataset.cells_series
     return BatteryFile(
         battery=Battery(
             name=dataset.name,
             chemistry=dataset.chemistry,
             cells_series=cells,
-            capacity_Ah=capacity_Ah,
+            capacity_Ah=fitted.capacity_Ah,
             cutoff_V=dataset.cutoff_V,
             low_V=rounded(LOW_CELL_V * cells),
             source=dataset.source,
-            remarks=_remarks(capacity_Ah, claims),
+            remarks=_remarks(fitted.capacity_Ah, claims),
         ),
-        parameters=table,
-        effects=effects,
+        parameters=fitted.parameters,
+        effects=fitted.effects,
         discrepancy=_held_out_discrepancy(held_out, dataset, limits),
         corridor=_entry(corridor),
         certificate=Certificate(
             status="certified",
             validated_ambient_C=[held_out.ambient_C],
             verdicts=[_verdict(c) for c in claims if not _beside(c)],
-            statistics={k: rounded(v) for k, v in {**statistics, **extra}.items() if math.isfinite(v)},
+            statistics={k: rounded(v) for k, v in {**statistics, **fitted.statistics}.items() if math.isfinite(v)},
             data_sha256=dataset.sha256,
         ),
     )
@@ -89,9 +98,7 @@ def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
     return [*unknown, *failed]
 
 
-def _unmetered(
-    dataset: DataSet, ambient_C: float
-) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
+def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
     home = dataset.at(ambient_C)
     runs = [r for r in home if sum(q.sample == r.sample for q in home) > 1]
     fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
@@ -114,16 +121,15 @@ def _unmetered(
     )
     entries = assemble.effect_entries(fit.slots, fit.x, error, fit.effects)
     extra = {"correlation_c_rate_resistance": float(c[i, j] / np.sqrt(c[i, i] * c[j, j]))}
-    return table, entries, dataset.capacity_Ah, extra
+    return ShippedModel(table, entries, dataset.capacity_Ah, extra)
 
 
-def _metered(
-    dataset: DataSet,
-) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
+def _metered(dataset: DataSet) -> ShippedModel:
     fit = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
     error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     table = assemble.parameter_table(fit.slots, fit.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
-    return table, assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS), dataset.capacity_Ah, {}
+    entries = assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS)
+    return ShippedModel(table, entries, dataset.capacity_Ah, {})
 
 
 def _held_out_discrepancy(held_out: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
