@@ -1,12 +1,12 @@
 """Cleaning of telemetry before the filter uses it; a `Cleaner` is a value that is replaced at each row.
 
 A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
-then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. A temperature that a cell cannot have,
-or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
-the model would overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a
-fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current
-that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power that the
-operator stated, or from a typical power, and the filter gives it a wide error.
+then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. A temperature that a
+cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is
+not used: with it the model would overflow. A current that leaps while the voltage stays where it was is not used for up
+to 2 s: it is a fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is
+late. A current that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power
+that the operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Cleaner(NamedTuple):
         """Return the cleaner after a sample, and the sample with NaN in place of what must not be used.
 
         assumed_power_W : power [W] that gives the current where there is no sensor and the operator stated no power;
-        capacity_Ah : of the pack [Ah], by which currents are judged; infinite while unknown. cells : in series, by which
-        voltages are judged; 0 while unknown.
+        capacity_Ah : of the pack [Ah], by which currents are judged; infinite while unknown;
+        cells : in series, by which voltages are judged; 0 while unknown.
         """
         if not abs(sample.time_s) < LATEST_S:
             return self, Sample(NAN, NAN)  # the time is not known
