@@ -223,7 +223,7 @@ class Estimator:
                 state = self._fresh_state()
                 rows, since = state.filter.run(clean[k:], filter_window), k
             row = rows[k - since]
-            swap = state.swap.after(sample, row.innovation, row.belief, state.filter.pack)
+            swap = state.swap.after(sample, row.innovation, row.belief, state.filter.pack, raw.voltage_V)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known, self.remembered = self._known.anew(), self.remembered_next
                 state = self._fresh_state()
@@ -236,10 +236,10 @@ class Estimator:
         cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
-        capacity_Ah = size.capacity_Ah if size is not None else math.inf
+        capacity_Ah, cells = (size.capacity_Ah, size.cells) if size is not None else (math.inf, 0)
         cleaners, clean = [], []
         for sample in samples:
-            cleaner, sample = cleaner.clean(sample, assumed_W, capacity_Ah)
+            cleaner, sample = cleaner.clean(sample, assumed_W, capacity_Ah, cells)
             cleaners.append(cleaner)
             clean.append(sample)
         return cleaners, clean

@@ -143,3 +143,37 @@ def test_a_current_that_comes_late_at_take_off_is_no_other_pack(late_rows: int) 
     falls = [before.soc - after.soc for before, after in itertools.pairwise(said)]
     assert max(map(abs, falls)) < 0.01  # an estimate that begins anew under load falls by 0.05
     assert said[-1].soc == pytest.approx(1.0 - drawn_Ah / 5.0, abs=0.03)
+
+
+@pytest.mark.parametrize("open_V", [0.0, 0.36, 4.7])
+def test_a_pack_that_was_taken_out_is_no_longer_believed(open_V: float) -> None:
+    """The autopilot has another supply, and its open input floats; the next pack rests only a little lower."""
+    first, second = Pack(), Pack(soc=0.6)
+    before = [*rested(first, 15, 0.0), *flown(first, 15.0, 300)]
+    before += rested(first, 30, before[-1].time_s + 1.0, before[-1].consumed_Ah)
+    row = before[-1]
+    out = [replace(row, time_s=row.time_s + k, voltage_V=open_V, current_A=0.0) for k in range(1, 21)]
+    rows = [*before, *out, *rested(second, 15, out[-1].time_s + 1.0, row.consumed_Ah)]
+    said = list(generic_estimator(STATED).run(rows))
+    assert all(math.isnan(remaining.remaining_s) for _, remaining in said[-35:])
+    fresh = next(estimate for estimate, _ in generic_estimator(STATED).run(rows[-1:]))
+    assert said[-1][0].soc == pytest.approx(fresh.soc, abs=0.01)
+    assert said[-1][0].capacity_scale_sd == pytest.approx(fresh.capacity_scale_sd, rel=0.1)
+
+
+@pytest.mark.parametrize("broken_V", [0.2, 3.9])
+def test_a_voltage_wire_that_breaks_in_flight_gives_no_number(broken_V: float) -> None:
+    """Its input floats: the page said that no time was left, for half a minute, and then that the pack was small."""
+    rows = flight(Pack())
+    broken = [replace(row, voltage_V=broken_V) if row.time_s >= 200.0 else row for row in rows]
+    late = [(e, r) for e, r in generic_estimator(STATED).run(broken) if e.time_s >= 205.0]
+    assert all(math.isnan(remaining.remaining_s) and remaining.reason for _, remaining in late)
+    assert not any("less than stated" in warning for estimate, _ in late for warning in estimate.warnings)
+
+
+def test_a_voltage_wire_that_is_loose_in_flight_begins_no_other_pack() -> None:
+    rows = flight(Pack())
+    loose = [replace(row, voltage_V=0.3) if 200.0 <= row.time_s < 220.0 else row for row in rows]
+    sound, back = (list(generic_estimator(STATED).run(some)) for some in (rows[:300], loose[:300]))
+    assert back[-1][0].soc == pytest.approx(sound[-1][0].soc, abs=0.03)
+    assert back[-1][0].capacity_scale_sd == pytest.approx(sound[-1][0].capacity_scale_sd, rel=0.2)

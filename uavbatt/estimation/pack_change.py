@@ -6,8 +6,9 @@ bound: the load continued to the end of the silence, and the overpotentials are 
 outside these bounds for several rows, the pack is another one. After a silence of minutes the old pack would have
 settled, so that both bounds are close to its predicted voltage, also with an idle load on the ground. A charge counter
 of the autopilot that has fallen also shows another pack, unless the flight evidently continued. Without a silence,
-three observations show another pack: a fall of the rested voltage (at rest it only rises) and, once the voltage rises
-slowly, a sudden rise or a voltage far too high.
+four observations show another pack: a fall of the rested voltage (at rest it only rises), once the voltage rises
+slowly, a sudden rise or a voltage far too high, and seconds without a pack while disarmed. After these the same pack
+may come back, but nothing says so.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply
+OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
@@ -78,18 +80,25 @@ class SwapWatch(NamedTuple):
     other_since_s: float = NAN  # time of the first of these rows
     rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
     rested_since_s: float = NAN
+    out_since_s: float = NAN  # since when the input has shown no pack
+    is_out: bool = False  # the pack was taken out
 
     @property
     def is_another(self) -> bool:
         """Return True if enough rows have shown another pack."""
         return self.rows >= SWAP_ROWS and self.seen_s - self.other_since_s >= SWAP_LASTS_S
 
-    def after(self, sample: Sample, row: Innovation, belief: Belief | None, pack: Pack) -> SwapWatch:
-        """Return the watch after one more sample, with `row`, the sample against the model, and the belief after it."""
+    def after(
+        self, sample: Sample, row: Innovation, belief: Belief | None, pack: Pack, read_V: float = NAN
+    ) -> SwapWatch:
+        """Return the watch after one more sample, with `row`, the sample against the model, and the belief after it.
+
+        read_V : the voltage before cleaning [V], which shows an input without a pack
+        """
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
         if belief is None or not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
-            return self
+            return self._without_pack(sample, read_V / cells, capacity_Ah)
         gap_s = time_s - self.seen_s
         row_s, silence = self.row_s, self.silence
         if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
@@ -98,6 +107,8 @@ class SwapWatch(NamedTuple):
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         consumed_Ah = sample.consumed_Ah if math.isfinite(sample.consumed_Ah) else self.consumed_Ah
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
+        if self.is_out:
+            return self._other(now, silence)._replace(is_out=True)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             if silence is None:
                 return now
@@ -115,6 +126,17 @@ class SwapWatch(NamedTuple):
             return self._other(now, silence)._replace(rested_V=self.rested_V, rested_since_s=since_s)
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
         return now._replace(silence=silence, rested_V=rested_V, rested_since_s=since_s)
+
+    def _without_pack(self, sample: Sample, cell_V: float, capacity_Ah: float) -> SwapWatch:
+        """Return the watch after a row that shows no pack, with so many volts a cell.
+
+        Disarmed and without a current the pack was taken out; otherwise it is a broken wire.
+        """
+        is_rested = abs(sample.current_A) < RESTED_C_RATE * capacity_Ah and sample.armed is False
+        if not (is_rested and cell_V < NO_PACK_CELL_V):
+            return self._replace(out_since_s=NAN)
+        since_s = self.out_since_s if math.isfinite(self.out_since_s) else sample.time_s
+        return self._replace(out_since_s=since_s, is_out=self.is_out or sample.time_s - since_s >= OUT_S)
 
     def _other(self, now: SwapWatch, silence: Silence | None) -> SwapWatch:
         """Return the watch `now` with one row more that shows another pack."""

@@ -1,11 +1,12 @@
 """Cleaning of telemetry before the filter uses it; a `Cleaner` is a value that is replaced at each row.
 
-A voltage that leaps between two rows is not used until a second row repeats it. A temperature that a cell cannot have,
-or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
-the model would overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a
-fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current
-that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power that the
-operator stated, or from a typical power, and the filter gives it a wide error.
+A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
+then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. A temperature that a
+cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is
+not used: with it the model would overflow. A current that leaps while the voltage stays where it was is not used for up
+to 2 s: it is a fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is
+late. A current that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power
+that the operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; 
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
+CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -55,16 +57,17 @@ class Cleaner(NamedTuple):
     spread_s: float = NAN
 
     def clean(
-        self, sample: Sample, assumed_power_W: float = NAN, capacity_Ah: float = math.inf
+        self, sample: Sample, assumed_power_W: float = NAN, capacity_Ah: float = math.inf, cells: int = 0
     ) -> tuple[Cleaner, Sample]:
         """Return the cleaner after a sample, and the sample with NaN in place of what must not be used.
 
         assumed_power_W : power [W] that gives the current where there is no sensor and the operator stated no power;
-        capacity_Ah : of the pack [Ah], by which currents are judged; infinite while unknown.
+        capacity_Ah : of the pack [Ah], by which currents are judged; infinite while unknown;
+        cells : in series, by which voltages are judged; 0 while unknown.
         """
         if not abs(sample.time_s) < LATEST_S:
             return self, Sample(NAN, NAN)  # the time is not known
-        now, sample = self._with_voltage(sample)
+        now, sample = self._with_voltage(sample, cells * CONNECTED_CELL_V)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample, assumed_power_W, capacity_Ah)
         now = now._with_level(sample)
@@ -88,11 +91,14 @@ class Cleaner(NamedTuple):
             spread_s=self.spread_s + shift_s,
         )
 
-    def _with_voltage(self, sample: Sample) -> tuple[Cleaner, Sample]:
-        """Take the voltage in. A sudden change is used from its second row on, as one row may be a damaged frame."""
+    def _with_voltage(self, sample: Sample, connected_V: float) -> tuple[Cleaner, Sample]:
+        """Take the voltage in. A sudden change is used from its second row on, as one row may be a damaged frame.
+
+        connected_V : below it the meter of a pack that has shown more is not connected [V].
+        """
         if not math.isfinite(sample.voltage_V):
             return self, sample
-        if sample.voltage_V <= 0.0:  # a meter that is not connected
+        if sample.voltage_V <= 0.0 or sample.voltage_V < connected_V <= self.voltage_V:
             return self, replace(sample, voltage_V=NAN, cell_voltages_V=())
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
         is_repeated = abs(sample.voltage_V - self.odd_V) <= LEAP_SHARE * self.odd_V
