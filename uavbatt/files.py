@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO, Literal, TextIO, overload
 
 import msgspec
-import numpy as np
 
 from uavbatt.errors import BadInput, printable
 
@@ -101,7 +100,7 @@ def plain(value: Any) -> Any:
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {key if isinstance(key, str) else f"{key:g}": plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # an array or number of numpy, which is not loaded only to ask for its types
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]

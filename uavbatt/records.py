@@ -19,6 +19,7 @@ NAN = math.nan
 # An alarm by the median is late in half of the flights. At 17.5 % it was never late on the measured flights, and a
 # minute early at the median; a smaller value is safer and earlier.
 ALARM_RISK = 0.175
+Z90 = 1.6448536269514722  # half width of the central 90 % interval of a normal distribution, in standard deviations
 IN_TIME = 0.05  # a route with a smaller risk to end before its touchdown needs no turn-back
 
 

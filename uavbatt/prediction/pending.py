@@ -50,14 +50,14 @@ class Pending(NamedTuple):
             return found, no_forecast(sample.time_s, self.refusal)
         answered = (self.question, ends) if self.question is not None and ends is not None else None
         remaining = bounded(self.forecaster.finish(sample, found, self.refusal, answered), self.voltage_left_s)
-        if remaining.reason == FALLS_FASTER:
-            found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
+        added: list[str] = [FALLS_FASTER] if remaining.reason == FALLS_FASTER else []
         if remaining.remaining_alarm_s <= ALARM_S:
-            found = replace(found, warnings=(*found.warnings, ALARM))
+            added.append(ALARM)
         is_unsaid = not math.isfinite(remaining.remaining_s) and sample.armed is not False  # in flight
         if is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S:
-            found = replace(found, warnings=(*found.warnings, ENDS_SOON))
-        return replace(found, warnings=(*found.warnings, *_of_route(remaining.route))), remaining
+            added.append(ENDS_SOON)
+        added += _of_route(remaining.route)
+        return replace(found, warnings=(*found.warnings, *added)) if added else found, remaining
 
 
 def _of_route(route: Route | None) -> tuple[Notice, ...]:

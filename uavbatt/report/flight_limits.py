@@ -10,9 +10,8 @@ from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of
 from uavbatt.prediction.pending import ALARM_S
-from uavbatt.records import ALARM_RISK, Status
+from uavbatt.records import ALARM_RISK, Z90, Status
 from uavbatt.report.page import duration, number, sentence
-from uavbatt.scoring.metrics import Z90
 
 # The load of the last minute, and how much flight the charge must promise, before low voltage is explained.
 LAST_S, MUCH_LEFT_S = 60.0, 300.0

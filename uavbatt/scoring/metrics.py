@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, ndtr
 
-FloatArray = NDArray[np.float64]
+from uavbatt.records import Z90
 
-Z90 = 1.6448536269514722
-"""Half width of the central 90 % interval of a normal distribution, in standard deviations."""
+FloatArray = NDArray[np.float64]
 
 
 def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
