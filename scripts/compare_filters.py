@@ -27,9 +27,8 @@ from uavbatt.battery.pack import c_rate
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import SIZE
 from uavbatt.estimation import kalman, noise, recursion
-from uavbatt.estimation.block import Block
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimation.kalman import Condition, Moments
+from uavbatt.estimation.kalman import Condition
 from uavbatt.estimation.recursion import FilterState, Innovation
 from uavbatt.telemetry import read_log
 
@@ -44,13 +43,13 @@ def unscented_close(
 
     condition : takes the pseudo-measurement in by which a cell is never more than full; the block's own goes unscented.
     """
-    block, at = state.block, state.moments
+    block, at = state.block, state.belief
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
     ukf = UnscentedKalmanFilter(SIZE, 2, dt=1.0, hx=None, fx=None, points=points)
-    ukf.x, ukf.P = at.x[0].copy(), at.P[0] + 1e-12 * np.eye(SIZE)
-    ukf.Q = np.diag(noise.process_variances(pack, at.x[0], float(c_rate(pack.installation, mean_A)), dt_s))
-    ukf.predict(fx=lambda x, dt: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s))
+    ukf.x, ukf.P = at.means[0].copy(), at.covariances[0] + 1e-12 * np.eye(SIZE)
+    ukf.Q = np.diag(noise.process_variances(pack, at.means[0], float(c_rate(pack.installation, mean_A)), dt_s))
+    ukf.predict(fx=lambda x, dt: b.transition(pack, x, mean_A, at.ambient_C, dt_s))
     updates = 0
 
     def by_unscented(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
@@ -69,12 +68,11 @@ def unscented_close(
         ukf.update(np.array([block.voltage_V, block.temp_C])[:count], R=noise_R[0], hx=reading)
         return ukf.x[None].copy(), ukf.P[None].copy()
 
-    predicted = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
+    predicted = b.Belief(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weights, at.ambient_C)
     step_A = block.current_A - state.block_A
-    moments, shown, warmer_K = recursion._update(pack, predicted, block, step_A, by_unscented, weighs=True)
-    is_read = np.isfinite(warmer_K)
-    air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
-    return state._replace(moments=moments, block_A=block.current_A, block=Block(), air=air), shown
+    belief, shown, air = recursion._update(pack, predicted, state.air, block, step_A, by_unscented, weighs=True)
+    after = recursion.state_at(pack, belief, state.time_s, state.current_A, air)
+    return after._replace(block_A=block.current_A), shown
 
 
 def score(battery: battery_file.BatteryFile) -> tuple[float, float, float]:
