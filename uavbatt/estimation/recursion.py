@@ -127,7 +127,7 @@ def filter_window(
             within.append((len(rows), state, sample.voltage_V))
         rows.append(FilteredRow(state.belief, state.summary, shown or NOTHING))
     for k, shown in _innovations(pack, within):
-        rows[k] = rows[k]._replace(innovation=shown)
+        rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
     return rows, state
 
 
