@@ -33,11 +33,12 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.filter import NO_VOLTAGE, BeliefSummary, FilterResult, SocFilter, estimate_of, unknown
+from uavbatt.estimation.filter import NO_VOLTAGE, SocFilter, estimate_of, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
-from uavbatt.estimation.recursion import Window, flight_window
+from uavbatt.estimation.recursion import FilteredRow, Window, flight_window
 from uavbatt.estimation.remarks import remarks
+from uavbatt.estimation.summary import BeliefSummary
 from uavbatt.limits import Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
@@ -54,14 +55,15 @@ LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
 
 class EstimatorMemory(NamedTuple):
-    """EstimatorMemory holds what is saved beside the belief: the past of the flight, and the past of the sensors."""
+    """EstimatorMemory holds what is saved beside the belief: the past of flight and sensors, the belief's time [s]."""
 
     forecaster: ForecasterMemory
     cleaner: Cleaner
+    time_s: float
 
     def moved(self, shift_s: float) -> EstimatorMemory:
         """Return the same past on a clock that shows `shift_s` [s] more."""
-        return EstimatorMemory(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
+        return EstimatorMemory(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s), self.time_s + shift_s)
 
 
 class PackState(NamedTuple):
@@ -157,19 +159,20 @@ class Estimator:
     @property
     def past(self) -> EstimatorMemory | None:
         """Return the memory that is saved with the belief; None before the first sample."""
-        return EstimatorMemory(self._state.forecaster.memory, self._cleaner) if self._state is not None else None
+        if self._state is None:
+            return None
+        return EstimatorMemory(self._state.forecaster.memory, self._cleaner, self._state.filter.time_s)
 
     def restore(
-        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0,
-        past: EstimatorMemory | None = None, consumed_Ah: float = NAN,
+        self, belief: Belief, past: EstimatorMemory, size: PackSize, facts: PackFacts,
+        current_A: float, consumed_Ah: float = NAN,
     ) -> None:  # fmt: skip
         """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
-        self._cleaner = (past.cleaner if past is not None else self._cleaner).with_facts(facts)
-        self._state = self._fresh_state()._replace(swap=SwapWatch(belief.time_s, current_A, belief, 0.0, consumed_Ah))
-        self._state.filter.restore(belief, current_A)
-        if past is not None:
-            self._state.forecaster.recall(past.forecaster)
+        self._cleaner = past.cleaner.with_facts(facts)
+        self._state = self._fresh_state()._replace(swap=SwapWatch(past.time_s, current_A, belief, 0.0, consumed_Ah))
+        self._state.filter.restore(belief, past.time_s, current_A)
+        self._state.forecaster.recall(past.forecaster)
 
     @property
     def flying_since_s(self) -> float:
@@ -187,7 +190,7 @@ class Estimator:
 
         navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size.
         """
-        (pending,) = self._pending([sample], lambda _: navigation, self._in_flight)
+        (pending,) = self._pending([sample], [navigation], self._in_flight)
         return pending.finish(end_times(pending.question) if pending.question is not None else None)
 
     def run(
@@ -200,16 +203,17 @@ class Estimator:
         """
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):
-            coming = self._pending(window, navigation_at or (lambda _: NOWHERE), self._engine.filter_window)
-            yield from finished(coming, self._engine.answers)
+            known = [NOWHERE if navigation_at is None else navigation_at(sample.time_s) for sample in window]
+            yield from finished(self._pending(window, known, self._engine.filter_window), self._engine.answers)
 
     def _pending(
-        self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
+        self, samples: list[Sample], navigations: list[Navigation], filter_window: Window
     ) -> Iterator[Pending]:
         """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
         cleaners, clean = self._cleaned(samples)
         rows, since = (self._state.filter.run(clean, filter_window) if self._state is not None else []), 0
-        for k, (raw, self._cleaner, sample) in enumerate(zip(samples, cleaners, clean, strict=True)):
+        taken = zip(samples, cleaners, clean, navigations, strict=True)
+        for k, (raw, self._cleaner, sample, navigation) in enumerate(taken):
             if math.isnan(sample.time_s):
                 yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
                 continue
@@ -229,7 +233,7 @@ class Estimator:
                 state = self._fresh_state()
                 rows, since = state.filter.run(clean[k:], filter_window), k
                 row, swap = rows[0], state.swap
-            yield self._forecast_for(state, swap, sample, row, navigation_at(sample.time_s))
+            yield self._forecast_for(state, swap, sample, row, navigation)
 
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
@@ -260,7 +264,7 @@ class Estimator:
         return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
 
     def _forecast_for(
-        self, state: PackState, swap: SwapWatch, sample: Sample, row: FilterResult, navigation: Navigation
+        self, state: PackState, swap: SwapWatch, sample: Sample, row: FilteredRow, navigation: Navigation
     ) -> Pending:
         """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
         pack, forecaster, belief = state.filter.pack, state.forecaster, row.belief

@@ -143,14 +143,15 @@ def bank() -> SocFilter:
 
 def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     """Return a call of the twin alone: columns in, as a reader gives them, columns out."""
-    from uavbatt.compiled.filter import most_moments, run
+    from uavbatt.compiled.filter import most_beliefs, run
     from uavbatt.compiled.jit import as_numbers
     from uavbatt.estimation.recursion import start
 
     state, _ = start(pack(), samples[0], float("nan"), members)
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples[1:]]).T.copy()
-    most = most_moments(table[0], state.time_s)
-    at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *state.moments)
+    most, known = most_beliefs(table[0], state.time_s), state.belief
+    moments = (known.means, known.covariances, known.log_weights)
+    at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *moments)
     numbers = as_numbers(pack())
     return lambda: run(numbers, state.air, state.since_load_s, table, *at)
 
@@ -167,7 +168,7 @@ def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
     sd[X.SOC], sd[X.CORE], sd[X.SENSOR] = 0.01, 1.0, 1.0
     sd[X.POLARISATION], sd[X.DIFFUSION], sd[X.BIAS], sd[X.REACTION] = 0.003, 0.003, 0.005, 0.005
     sd[X.LOG_RESISTANCE], sd[X.LOG_CAPACITY] = 0.05, 0.03
-    belief = Belief.gaussian(0.0, mean, np.diag(sd**2), 20.0)
+    belief = Belief.gaussian(mean, np.diag(sd**2), 20.0)
     found = forecaster.question(belief, 0.0)
     assert found is not None
     return found, belief, forecaster

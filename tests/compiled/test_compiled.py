@@ -22,9 +22,9 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.compiled import cache as compiled_cache
 from uavbatt.engine import PLAIN, Engine
-from uavbatt.estimation.filter import FilterResult, SocFilter
+from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
-from uavbatt.estimation.recursion import filter_window
+from uavbatt.estimation.recursion import FilteredRow, filter_window
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import batch as questions
@@ -73,7 +73,7 @@ def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
             scale = sd[:, :, None] * sd[:, None, :]
             quick_share, plain_share = quick.belief.covariances / scale, plain.belief.covariances / scale
             np.testing.assert_allclose(quick_share, plain_share, rtol=0.0, atol=QUOTIENT_CLOSE)
-            assert quick.belief.time_s == plain.belief.time_s
+            assert quick.belief.ambient_C == pytest.approx(plain.belief.ambient_C, abs=1e-9)
     # Of a bank: members that the readings have left behind amplify the last digit, and weigh little.
     for quick, plain in both(pack, capacities(pack), samples):
         np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=1e-5, atol=1e-5)
@@ -82,7 +82,7 @@ def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
             np.testing.assert_allclose(quick.belief.mean, plain.belief.mean, rtol=1e-5, atol=1e-5)
 
 
-def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[FilterResult, FilterResult]]:
+def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[FilteredRow, FilteredRow]]:
     """The filter after each row as the twin has it, in two windows, and as filterpy has it."""
     plain, twin = SocFilter(pack, capacities=members), SocFilter(pack, capacities=members)
     cut, window = len(samples) // 3, compiled.engine().filter_window

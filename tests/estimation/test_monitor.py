@@ -12,7 +12,7 @@ from uavbatt.battery.state_space import SIZE, Belief
 from uavbatt.estimation.monitor import LARGE, MANY_OHMS, SMALL, Innovations, Monitor
 from uavbatt.records import NAN, Estimate, Sample, Status
 
-BELIEF = Belief.gaussian(0.0, np.zeros(SIZE), 1e-4 * np.eye(SIZE), 20.0)
+BELIEF = Belief.gaussian(np.zeros(SIZE), 1e-4 * np.eye(SIZE), 20.0)
 
 
 def seen(monitor: Monitor, capacity: float, sd: float, ohms: float = 1.0) -> Monitor:

@@ -45,7 +45,7 @@ def belief(soc: float = 0.7, temp_C: float = 25.0, soc_sd: float = 0.01, exact: 
     mean, sd = np.zeros(SIZE), np.zeros(SIZE)
     mean[X.SOC], mean[X.CORE], mean[X.SENSOR] = soc, temp_C, temp_C
     sd[X.SOC], sd[X.LOG_RESISTANCE], sd[X.LOG_CAPACITY] = soc_sd, 0.05, 0.02
-    return Belief.gaussian(0.0, mean, np.diag((sd * (0.0 if exact else 1.0)) ** 2) + 1e-14 * np.eye(SIZE), temp_C)
+    return Belief.gaussian(mean, np.diag((sd * (0.0 if exact else 1.0)) ** 2) + 1e-14 * np.eye(SIZE), temp_C)
 
 
 def forecast(
@@ -93,7 +93,7 @@ def test_volts_that_are_missing_now_are_missing_at_the_end(missing_V: float) -> 
     now = belief(0.8, exact=True)
     mean = now.mean.copy()
     mean[X.BIAS] = -missing_V
-    misses = Belief.gaussian(0.0, mean, now.covariance, now.ambient_C)
+    misses = Belief.gaussian(mean, now.covariance, now.ambient_C)
     lower = forecast(plain_pack(3.2 - missing_V + 0.9 * SOC_GRID), now)
     assert lower.median_s > 500.0
     assert forecast(plain_pack(3.2 + 0.9 * SOC_GRID), misses).median_s == pytest.approx(lower.median_s, rel=0.001)

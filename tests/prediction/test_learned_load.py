@@ -234,7 +234,7 @@ def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     forecaster = Forecaster(pack, ForecastSettings(load))
     flown = FlightSoFar(recent, took_off_s=-200.0, flown_s=200.0, flown_J=56000.0)
     forecaster.recall(forecaster.memory._replace(flight=flown))
-    found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
+    found = forecaster.forecast(Belief.gaussian(mean, np.diag(sd**2), 25.0), 0.0)
     assert found is not None and math.isfinite(found.median_s)
     return found
 

@@ -285,7 +285,7 @@ def restarted(before: Estimator, past: EstimatorMemory) -> Estimator:
     """Another process that goes on from the belief of the first, with this past."""
     assert before.belief is not None and before.pack_size is not None
     after = Estimator(before.battery, before.options)
-    after.restore(before.belief, before.pack_size, PackFacts(), 12.0, past)
+    after.restore(before.belief, past, before.pack_size, PackFacts(), 12.0)
     return after
 
 

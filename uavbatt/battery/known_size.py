@@ -71,7 +71,9 @@ class KnownSize(NamedTuple):
         if is_first or (statements.rows == SURE_ROWS and updated.rested_V == before.rested_V != voltages.rested_V):
             updated = updated._replace(rested_V=voltages.rested_V)._with_size()  # the cells may be of another kind
         sized = updated.size or size
-        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *updated._count_doubts(sized))
+        doubts = statements.doubts(sized, self.resting, self.stated_W)
+        if sized.cells_from == GUESSED_FROM:
+            doubts = (*doubts, *updated._count_doubts(sized))
         return updated if doubts == updated.doubts else updated._replace(doubts=doubts)
 
     def by_voltage(self, coming: Iterable[Sample]) -> PackSize | None:
@@ -114,8 +116,6 @@ class KnownSize(NamedTuple):
 
     def _count_doubts(self, size: PackSize) -> tuple[Doubt, ...]:
         """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""
-        if size.cells_from != GUESSED_FROM:
-            return ()
         others = [n for n in self.counts if n != size.cells]
         if not others:
             return ()

@@ -14,7 +14,7 @@ error, so that the filter does not take an error of the model for information:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -48,22 +48,25 @@ DOUBT_LENGTH = 1.0  # as a share of the charge
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Belief is a sum of Gaussians at `time_s`; each member stands for another capacity of the pack.
+    """Belief is a sum of Gaussians; each member stands for another capacity of the pack.
 
-    means [members, 9], covariances [members, 9, 9], weights [members] with sum 1; the ambient temperature [°C] is
-    the one that the heat flows to.
+    means [members, 9], covariances [members, 9, 9], log_weights [members]: ln of the members' weights, whose sum is 1;
+    the ambient temperature [°C] is the one that the heat flows to.
     """
 
-    time_s: float
     means: Array
     covariances: Array
-    weights: Array
+    log_weights: Array
     ambient_C: float
+    weights: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", np.exp(self.log_weights))  # frozen: worked out once
 
     @classmethod
-    def gaussian(cls, time_s: float, mean: Array, covariance: Array, ambient_C: float) -> Belief:
+    def gaussian(cls, mean: Array, covariance: Array, ambient_C: float) -> Belief:
         """Return a belief of one member: mean [9], covariance [9, 9]."""
-        return cls(time_s, mean[None], covariance[None], np.ones(1), ambient_C)
+        return cls(mean[None], covariance[None], np.zeros(1), ambient_C)
 
     @property
     def mean(self) -> Array:

@@ -15,20 +15,20 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, X
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.compiled.member import predict, settle, update
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
-from uavbatt.estimation.kalman import Moments
 from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
+from uavbatt.estimation.summary import summary
 from uavbatt.records import Sample
 
 share(recursion)
 
 
-def most_moments(times_s: Array, at_s: float) -> int:
-    """Return the largest number of moments that rows at these times [s] lead to, from a filter at `at_s` [s]."""
+def most_beliefs(times_s: Array, at_s: float) -> int:
+    """Return the largest number of beliefs that rows at these times [s] lead to, from a filter at `at_s` [s]."""
     known_s = np.append(times_s[np.isfinite(times_s)], at_s)
     return min(times_s.size, int(np.ptp(known_s) / BLOCK_S)) + 4
 
@@ -41,8 +41,8 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
     if not samples:
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
-    most = most_moments(table[0], state.time_s)
-    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block, air, since_load_s) = run(
+    most = most_beliefs(table[0], state.time_s)
+    new, in_force, shown, (time_s, current_A, block_A, block, air, since_load_s) = run(
         as_numbers(pack),
         state.air,
         state.since_load_s,
@@ -52,18 +52,18 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         state.current_A,
         state.block_A,
         np.array(state.block, dtype=float),
-        *state.moments,
+        state.belief.means,
+        state.belief.covariances,
+        state.belief.log_weights,
     )
-    moments = [state.moments, *(Moments(*one) for one in list(zip(*beliefs, strict=True))[1:])]
+    beliefs = [state.belief, *(Belief(*one) for one in list(zip(*new, strict=True))[1:])]
+    known = [state.summary, *(summary(belief, pack.empty_soc_sd) for belief in beliefs[1:])]
     rows = [
-        FilteredRow(moments[k], time_s, ambient_C, Innovation(*row))
-        for k, time_s, ambient_C, row in zip(
-            in_force.tolist(), times_s.tolist(), ambients_C.tolist(), shown.tolist(), strict=True
-        )
+        FilteredRow(beliefs[k], known[k], Innovation(*row))
+        for k, row in zip(in_force.tolist(), shown.tolist(), strict=True)
     ]
-    open_block = Block(*block.tolist())
-    air = noise.Air(*air)
-    return rows, FilterState(moments[-1], rows[-1].time_s, current_A, block_A, open_block, air, since_load_s)
+    open_block, air = Block(*block.tolist()), noise.Air(*air)
+    return rows, FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, since_load_s)
 
 
 @compiled
@@ -150,21 +150,21 @@ def run(
 ) -> tuple[Any, ...]:
     """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
 
-    most : the largest number of moments that the rows can give, the given one included. Returns the moments (means [m,
-    members, 9], covariances and ln of the weights, the given one first), which of them is in force after each row, time
-    of the last row taken in and ambient temperature at each row, what each row shows [n, 4] as `Innovation` has it, and
-    the state after the last row: currents of the last row and block [A], the open block, the air.
+    most : the largest number of beliefs that the rows can give, the given one included. Returns the beliefs (means [m,
+    members, 9], covariances, ln of the weights and ambient temperatures [m], the given one first), which of them is in
+    force after each row, what each row shows [n, 4] as `Innovation` has it, and the state after the last row: its time
+    [s], currents of the last row and block [A], the open block, the air, the time since the last load [s].
     """
     n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
-    in_force, times_s, ambients_C, shown = np.zeros(n, np.int64), np.empty(n), np.empty(n), np.full((n, 4), np.nan)
+    in_force, ambients_C, shown = np.zeros(n, np.int64), np.full(most, air.ambient_C), np.full((n, 4), np.nan)
     drawn_As, true_A = np.full(n, np.nan), np.full(n, np.nan)
     x, P, block = x.copy(), P.copy(), block.copy()
     put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
-        in_force[k], times_s[k], ambients_C[k] = last, at_s, air.ambient_C
+        in_force[k] = last
         dt_s = time_s - at_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
@@ -173,7 +173,6 @@ def run(
             log_weight, _, _, _, block_A, air, since_load_s = close(
                 pack, x, P, log_weight, block, block_A, air, since_load_s
             )
-            ambients_C[k] = air.ambient_C
         block[0] += 1.0
         block[1] += dt_s
         block[2] += 0.5 * (before_A + current_A) * dt_s
@@ -182,18 +181,17 @@ def run(
         if np.isfinite(temp_C):
             block[5] += temp_C
             block[6] += 1.0
-        at_s, before_A, times_s[k] = time_s, current_A, time_s
+        at_s, before_A = time_s, current_A
         if block[1] < BLOCK_S:
             drawn_As[k], true_A[k] = block[2], current_A
             continue
         log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, since_load_s = close(
             pack, x, P, log_weight, block, block_A, air, since_load_s
         )
-        ambients_C[k] = air.ambient_C
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
         put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
-        in_force[k] = last
+        in_force[k], ambients_C[last] = last, air.ambient_C
     begin = 0
     for end in np.append(np.flatnonzero(np.diff(in_force)) + 1, n):
         at = in_force[begin]
@@ -202,5 +200,5 @@ def run(
             shown[begin:end],
         )  # fmt: skip
         begin = end
-    moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
-    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block, air, since_load_s)
+    beliefs = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1], ambients_C[: last + 1])
+    return beliefs, in_force, shown, (at_s, before_A, block_A, block, air, since_load_s)

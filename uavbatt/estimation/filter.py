@@ -9,25 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
-
-import numpy as np
 
 from uavbatt.battery.capacity_prior import Capacities, known_capacity
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, X, mixed_covariance
-from uavbatt.estimation.block import Block, is_complete
-from uavbatt.estimation.kalman import Moments
+from uavbatt.battery.state_space import Belief
+from uavbatt.estimation.block import is_complete
 from uavbatt.estimation.noise import first_air
 from uavbatt.estimation.recursion import (
-    NOTHING,
+    NOT_BEGUN,
     FilteredRow,
     FilterState,
-    Innovation,
     Window,
     filter_window,
     flight_window,
     start,
+    state_at,
 )
 from uavbatt.estimation.time_alignment import Skew
 from uavbatt.notice import Kind, Notice
@@ -39,34 +35,6 @@ NO_VOLTAGE = Notice("no voltage in this row", Kind.NO_VOLTAGE)
 NO_CURRENT = Notice("no current in this row", Kind.NO_CURRENT)
 TIME_BACKWARDS = Notice("time went backwards", Kind.TIME_BACKWARDS)
 NO_CHARGE = Notice("state of charge not known at all", Kind.NO_CHARGE)
-
-
-class BeliefSummary(NamedTuple):
-    """BeliefSummary holds the means and sds of a belief that an estimate shows; they change when a block is closed."""
-
-    soc: float = NAN
-    soc_sd: float = NAN
-    core_temp_C: float = NAN
-    resistance_scale: float = NAN
-    resistance_scale_sd: float = NAN
-    capacity_scale: float = NAN
-    capacity_scale_sd: float = NAN
-    wear: float = NAN
-    wear_sd: float = NAN
-
-
-class FilterResult(NamedTuple):
-    """FilterResult holds the filter after one row: its belief, the belief's summary, and the row against the model.
-
-    The belief is None before the first complete row.
-    """
-
-    belief: Belief | None
-    summary: BeliefSummary
-    innovation: Innovation
-
-
-NOT_BEGUN = FilterResult(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
@@ -85,27 +53,29 @@ class SocFilter:
         self._capacities = capacities or known_capacity(pack)
         self._state: FilterState | None = None
         self._skew = Skew(float(pack.installation.delay_s))
-        self._last = NOT_BEGUN
         self._window = flight_window()
 
     @property
     def belief(self) -> Belief | None:
         """Return the belief after the last sample; None before the first complete one."""
-        return self._last.belief
+        return self._state.belief if self._state is not None else None
 
-    def restore(self, belief: Belief, current_A: float = 0.0) -> None:
-        """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A` [A]."""
-        at = Moments(belief.means, belief.covariances, np.log(belief.weights))
+    @property
+    def time_s(self) -> float:
+        """Return the time of the last sample that was taken in [s]; NaN before the first complete one."""
+        return self._state.time_s if self._state is not None else NAN
+
+    def restore(self, belief: Belief, time_s: float, current_A: float) -> None:
+        """Go on from a saved belief at `time_s` [s], when the pack's current was `current_A` [A]."""
         air = first_air(belief.ambient_C, is_stated=math.isfinite(self._ambient_C))
-        self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), air)
-        self._last = FilterResult(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
+        self._state = state_at(self.pack, belief, time_s, current_A, air)
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; one without voltage or current moves nothing, and its estimate says so."""
         (row,) = self.run([sample], self._window)
         return estimate_of(sample, row)
 
-    def run(self, samples: Sequence[Sample], window: Window = filter_window) -> list[FilterResult]:
+    def run(self, samples: Sequence[Sample], window: Window = filter_window) -> list[FilteredRow]:
         """Take a window of samples in; the filter stands after the last of them.
 
         window : the recursion over rows (`recursion.filter_window`, or its compiled twin).
@@ -114,61 +84,18 @@ class SocFilter:
         paired = samples
         if self._skew.delay_s:
             paired = [self._skew.paired(sample) if is_complete(sample) else sample for sample in samples]
-        rows: list[FilteredRow] = []
+        before: list[FilteredRow] = []
         if self._state is None:
             first = next((k for k, sample in enumerate(paired) if is_complete(sample)), None)
             if first is None:
                 return [NOT_BEGUN] * len(paired)
             self._state, row = start(self.pack, paired[first], self._ambient_C, self._capacities)
-            rows = [*[FilteredRow(None, NAN, NAN, NOTHING)] * first, row]
-        more, self._state = window(self.pack, self._state, paired[len(rows) :])
-        found = _results(self.pack, [*rows, *more], self._last)
-        self._last = found[-1] if found else self._last
-        return found
+            before = [*[NOT_BEGUN] * first, row]
+        rows, self._state = window(self.pack, self._state, paired[len(before) :])
+        return [*before, *rows]
 
 
-def _results(pack: Pack, rows: list[FilteredRow], last: FilterResult) -> list[FilterResult]:
-    """Return the filter after each row; the summary of a belief is worked out once and shared by its rows."""
-    found = []
-    for row in rows:
-        at, belief, known = row.moments, last.belief, last.summary
-        if at is None:
-            found.append(NOT_BEGUN)
-            continue
-        if belief is None or belief.means is not at.x:
-            belief, known = Belief(row.time_s, at.x, at.P, at.weight, row.ambient_C), summary(at, pack.empty_soc_sd)
-        else:
-            belief = Belief(row.time_s, at.x, at.P, belief.weights, row.ambient_C)
-        last = FilterResult(belief, known, row.innovation)
-        found.append(last)
-    return found
-
-
-def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
-    """Return the means and standard deviations that an estimate shows of a belief.
-
-    empty_soc_sd : uncertainty of the charge that a make leaves in its cells, as a share of the charge drawn. The filter
-    counts down to the empty of the battery file; no voltage shows how far that of the pack differs from it.
-    """
-    weight = at.weight
-    x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
-    sd = np.sqrt(np.diag(covariance))
-    resistance, capacity = float(x[X.LOG_RESISTANCE]), float(x[X.LOG_CAPACITY])
-    shared = covariance[X.LOG_RESISTANCE, X.LOG_CAPACITY]
-    return BeliefSummary(
-        soc=float(x[X.SOC]),
-        soc_sd=math.hypot(sd[X.SOC], empty_soc_sd * min(max(1.0 - float(x[X.SOC]), 0.0), 1.0)),
-        core_temp_C=float(x[X.CORE]),
-        resistance_scale=math.exp(resistance),
-        resistance_scale_sd=math.exp(resistance) * float(sd[X.LOG_RESISTANCE]),
-        capacity_scale=math.exp(capacity),
-        capacity_scale_sd=math.exp(capacity) * float(sd[X.LOG_CAPACITY]),
-        wear=math.expm1(resistance - capacity),
-        wear_sd=math.sqrt(max(sd[X.LOG_RESISTANCE] ** 2 + sd[X.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
-    )
-
-
-def estimate_of(sample: Sample, row: FilterResult, warnings: tuple[str, ...] = ()) -> Estimate:
+def estimate_of(sample: Sample, row: FilteredRow, warnings: tuple[str, ...] = ()) -> Estimate:
     """Return a sample's estimate from the filter after it; refused or converging while the charge is little known."""
     known, shown = row.summary, row.innovation
     status, reason = Status.OK, ""

@@ -12,7 +12,7 @@ Jacobians F and H are central differences of the model's own functions, so that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,19 +26,6 @@ if TYPE_CHECKING:
 NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-4])
 
 Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
-
-
-class Moments(NamedTuple):
-    """Moments holds a sum of Gaussians: means, covariances and ln of the weights of its members."""
-
-    x: Array  # [members, 9]
-    P: Array  # [members, 9, 9]
-    log_weight: Array  # [members]
-
-    @property
-    def weight(self) -> Array:
-        """Return the weights [members]; their sum is 1."""
-        return np.asarray(np.exp(self.log_weight))
 
 
 def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -112,18 +113,25 @@ class Monitor(NamedTuple):
         is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         is_settled = (is_small or is_ohmic) and is_known
         is_far = abs(off_sds) > FAR_SDS or abs(reaction_V) > FAR_REACTION_V
-        found = (  # (words, True for a doubt, True for a refusal)
-            (STUCK_VOLTAGE, stuck_voltage_s >= STUCK_S, stuck_voltage_s >= REFUSED_STUCK_S),
-            (STUCK_CURRENT, stuck_current_s >= STUCK_S, stuck_current_s >= REFUSED_STUCK_S),
-            (DEAD_CURRENT, False, time_s - load.gone_since_s >= DEAD_S),
-            (UNFITTING, time_s - innovations.high_since_s >= NIS_AFTER_S, False),
-            (FAR_OFF, is_far, off_sds < -LOST_SDS),  # too much voltage for the charge is harmless
-            (SMALL, is_small, is_small and not is_settled),
-            (LARGE, least > FAR_LARGER, False),
-            (MANY_OHMS, is_ohmic, is_ohmic and not is_settled),
-        )
-        doubts = tuple(words for words, is_doubt, _ in found if is_doubt)
-        refusal = next((words for words, _, is_refused in found if is_refused), "")
+        doubted = {
+            STUCK_VOLTAGE: stuck_voltage_s >= STUCK_S,
+            STUCK_CURRENT: stuck_current_s >= STUCK_S,
+            UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
+            FAR_OFF: is_far,
+            SMALL: is_small,
+            LARGE: least > FAR_LARGER,
+            MANY_OHMS: is_ohmic,
+        }
+        refused = {
+            STUCK_VOLTAGE: stuck_voltage_s >= REFUSED_STUCK_S,
+            STUCK_CURRENT: stuck_current_s >= REFUSED_STUCK_S,
+            DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
+            FAR_OFF: off_sds < -LOST_SDS,  # too much voltage for the charge is harmless
+            SMALL: is_small and not is_settled,
+            MANY_OHMS: is_ohmic and not is_settled,
+        }
+        doubts = tuple(compress(doubted, doubted.values()))
+        refusal = next(compress(refused, refused.values()), "")
         remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
         return Monitor(readings, load, innovations, off_sds, reaction_V, is_settled, doubts, remarks, refusal)
 

@@ -82,11 +82,7 @@ class SwapWatch(NamedTuple):
     rested_since_s: float = NAN
     out_since_s: float = NAN  # since when the input has shown no pack
     is_out: bool = False  # the pack was taken out
-
-    @property
-    def is_another(self) -> bool:
-        """Return True if enough rows have shown another pack."""
-        return self.rows >= SWAP_ROWS and self.seen_s - self.other_since_s >= SWAP_LASTS_S
+    is_another: bool = False  # enough rows have shown another pack
 
     def after(
         self, sample: Sample, row: Innovation, belief: Belief | None, pack: Pack, read_V: float = NAN
@@ -140,8 +136,9 @@ class SwapWatch(NamedTuple):
 
     def _other(self, now: SwapWatch, silence: Silence | None) -> SwapWatch:
         """Return the watch `now` with one row more that shows another pack."""
-        since_s = self.other_since_s if self.rows else now.seen_s
-        return now._replace(silence=silence, rows=self.rows + 1, other_since_s=since_s)
+        rows, since_s = self.rows + 1, self.other_since_s if self.rows else now.seen_s
+        is_another = rows >= SWAP_ROWS and now.seen_s - since_s >= SWAP_LASTS_S
+        return now._replace(silence=silence, rows=rows, other_since_s=since_s, is_another=is_another)
 
     def _shows_another(self, silence: Silence, sample: Sample, pack: Pack) -> bool:
         """Return True if a row that is not at rest shows another pack than the one before the silence."""

@@ -11,7 +11,7 @@ compiled; a test holds the two equal to 1e-9.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -22,10 +22,11 @@ from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current, true_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, X
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
-from uavbatt.estimation.kalman import Condition, Moments, jacobian
+from uavbatt.estimation.kalman import Condition, jacobian
+from uavbatt.estimation.summary import BeliefSummary, summary
 from uavbatt.records import Sample
 
 GATE = 16.0
@@ -41,7 +42,8 @@ ROOM_TEMP_C = 22.0
 class FilterState(NamedTuple):
     """FilterState holds the state of the filter between two rows."""
 
-    moments: Moments  # as after the last block
+    belief: Belief  # as after the last block
+    summary: BeliefSummary  # of that belief
     time_s: float  # of the last row
     current_A: float  # of the last row
     block_A: float  # mean of the last block
@@ -60,16 +62,19 @@ class Innovation(NamedTuple):
 
 
 class FilteredRow(NamedTuple):
-    """FilteredRow holds the filter after one row of a window; it has no moments before the first complete row."""
+    """FilteredRow holds the belief after one row, its summary, and the row against the model.
 
-    moments: Moments | None
-    time_s: float
-    ambient_C: float
+    The rows of a block share the belief after the last block. It is None before the first complete row.
+    """
+
+    belief: Belief | None
+    summary: BeliefSummary
     innovation: Innovation
 
 
 Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[FilteredRow], FilterState]]
 NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
+NOT_BEGUN = FilteredRow(None, BeliefSummary(), NOTHING)
 
 
 def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> tuple[FilterState, FilteredRow]:
@@ -92,13 +97,18 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, X.BIAS], x[:, X.LOG_CAPACITY] = first.mean[1], members.log_scale
     x[:, X.LOG_RESISTANCE] = members.log_resistance
     P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members)
-    moments = Moments(x, P, np.log(members.weight))
     is_stated = math.isfinite(ambient_C)
     air = noise.first_air(ambient_C if is_stated else temp_C, is_stated)
-    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), air)
-    expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
-    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, X.SOC]))
-    return state, FilteredRow(moments, sample.time_s, air.ambient_C, shown)
+    belief = Belief(x, P, np.log(members.weight), air.ambient_C)
+    state = state_at(pack, belief, sample.time_s, current_A, air)
+    expected_V = float(belief.weights @ b.voltage(pack, x.T, current_A))
+    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(belief.weights @ x[:, X.SOC]))
+    return state, FilteredRow(belief, state.summary, shown)
+
+
+def state_at(pack: Pack, belief: Belief, time_s: float, current_A: float, air: noise.Air) -> FilterState:
+    """Return the state of a filter that begins with a belief, after a row at `time_s` [s] under `current_A` [A]."""
+    return FilterState(belief, summary(belief, pack.empty_soc_sd), time_s, current_A, current_A, Block(), air)
 
 
 def filter_window(
@@ -109,16 +119,15 @@ def filter_window(
     condition : how a measurement is taken in; filterpy's in flight (`kalman.filterpy_condition`).
     Returns the filter after each row, and the state after the last.
     """
-    taken: list[tuple[FilterState, Innovation | None]] = []
+    rows: list[FilteredRow] = []
+    within: list[tuple[int, FilterState, float]] = []
     for sample in samples:
         state, shown = _take(pack, state, sample, condition)
-        taken.append((state, shown))
-    pairs = zip(taken, samples, strict=True)
-    within = iter(_innovations(pack, [(at, sample.voltage_V) for (at, shown), sample in pairs if shown is None]))
-    rows = [
-        FilteredRow(at.moments, at.time_s, at.air.ambient_C, next(within) if shown is None else shown)
-        for at, shown in taken
-    ]
+        if shown is None:
+            within.append((len(rows), state, sample.voltage_V))
+        rows.append(FilteredRow(state.belief, state.summary, shown or NOTHING))
+    for k, shown in _innovations(pack, within):
+        rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
     return rows, state
 
 
@@ -141,67 +150,62 @@ def _take(
     if dt_s > BLOCK_S and state.block.duration_s > 0.0:
         state, _ = _close(pack, state, condition)  # rows before a gap belong to the time before it
     block = state.block.after(sample, current_A, dt_s, state.current_A)
-    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.air, state.since_load_s)
+    state = state._replace(time_s=sample.time_s, current_A=current_A, block=block)
     if block.duration_s < BLOCK_S:
         return state, None
     return _close(pack, state, condition)
 
 
-def _innovations(pack: Pack, rows: Sequence[tuple[FilterState, float]]) -> list[Innovation]:
-    """Return the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
+def _innovations(pack: Pack, rows: Sequence[tuple[int, FilterState, float]]) -> Iterator[tuple[int, Innovation]]:
+    """Yield the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
 
-    The means are those after the last block, less the charge drawn since.
+    Each row has its number in the window. The means are those after the last block, less the charge drawn since.
     """
     if not rows:
-        return []
-    x = np.array([state.moments.x for state, _ in rows])
-    weight = np.exp([state.moments.log_weight for state, _ in rows])
-    drawn_As, current_A = np.array([(state.block.charge_As, state.current_A) for state, _ in rows]).T[..., None]
+        return
+    numbers, states, voltages_V = zip(*rows, strict=True)
+    x = np.array([state.belief.means for state in states])
+    weight = np.array([state.belief.weights for state in states])
+    drawn_As, current_A = np.array([(state.block.charge_As, state.current_A) for state in states]).T[..., None]
     x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
     expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
-    return [
-        Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ means[:, X.SOC]))
-        for (_, voltage_V), of_row, volts_V, means in zip(rows, weight, expected_V, x, strict=True)
-    ]
+    for k, voltage_V, volts_V, of_row, means in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
+        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ means[:, X.SOC]))
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
     """Close the open block: predict over its time, then condition on its means."""
-    block, at = state.block, state.moments
+    block, at = state.block, state.belief
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate = float(c_rate(pack.installation, mean_A))
     since_load_s = noise.since_load_after(state.since_load_s, rate, dt_s)
     is_settling = noise.is_settling(since_load_s)
-    if is_settling:
-        at = _settled(pack, at, dt_s)
-    process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
-    x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s), at.x, at.P, process_Q)
-    step_A = block.current_A - state.block_A
-    moments, shown, warmer_K = _update(
-        pack, Moments(x, P, at.log_weight), block, step_A, condition, weighs=not is_settling
-    )
-    is_read = math.isfinite(warmer_K)
-    air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
-    return FilterState(moments, state.time_s, state.current_A, block.current_A, Block(), air, since_load_s), shown
+    x, P = _settled(pack, at, dt_s) if is_settling else (at.means, at.covariances)
+    process_Q = noise.process_variances(pack, x.T, rate, dt_s).T
+    x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, at.ambient_C, dt_s), x, P, process_Q)
+    predicted, step_A = Belief(x, P, at.log_weights, at.ambient_C), block.current_A - state.block_A
+    belief, shown, air = _update(pack, predicted, state.air, block, step_A, condition, weighs=not is_settling)
+    after = state_at(pack, belief, state.time_s, state.current_A, air)
+    return after._replace(block_A=block.current_A, since_load_s=since_load_s), shown
 
 
-def _settled(pack: Pack, at: Moments, dt_s: float) -> Moments:
-    """Return the moments with the discrepancy on its way, for `dt_s` [s], to what it is in a pack at rest."""
-    keep, x, P = math.exp(-dt_s / noise.SETTLING_S), at.x.copy(), at.P.copy()
+def _settled(pack: Pack, at: Belief, dt_s: float) -> tuple[Array, Array]:
+    """Return means and covariances with the discrepancy on its way, for `dt_s` [s], to what it is in a pack at rest."""
+    keep, x, P = math.exp(-dt_s / noise.SETTLING_S), at.means.copy(), at.covariances.copy()
     x[:, X.BIAS] *= keep
     P[:, X.BIAS, :] *= keep
     P[:, :, X.BIAS] *= keep
     P[:, X.BIAS, X.BIAS] += (1.0 - keep**2) * noise.rested_variance(pack, x[:, X.SOC])
-    return Moments(x, P, at.log_weight)
+    return x, P
 
 
 def _update(
-    pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition, weighs: bool
-) -> tuple[Moments, Innovation, float]:
-    """Condition the moments on the means of a block, whose current is `step_A` [A] more than the last one's.
+    pack: Pack, at: Belief, air: noise.Air, block: Block, step_A: float, condition: Condition, weighs: bool
+) -> tuple[Belief, Innovation, noise.Air]:
+    """Condition a belief on the means of a block, whose current is `step_A` [A] more than the last one's.
 
     weighs : the block tells which member is right.
-    Returns them, what is shown, and by how much the block is warmer than expected [K], NaN without a temperature.
+    Returns the belief, the block against the model, and the air by the block's temperature, if it has one.
     """
     current_A, temp_C = block.current_A, block.temp_C
     has_temp = math.isfinite(temp_C)
@@ -211,25 +215,27 @@ def _update(
         warmth = x[X.SENSOR] + pack.installation.offset_K
         return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
-    observation, expected = jacobian(reading, at.x)
+    observation, expected = jacobian(reading, at.means)
     measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
     innovation = measured - expected
-    noise_R = np.zeros((len(at.x), measured.size, measured.size))
-    noise_R[:, 0, 0] = noise.reading_variance(pack, at.x.T, current_A, step_A)
+    noise_R = np.zeros((len(at.means), measured.size, measured.size))
+    noise_R[:, 0, 0] = noise.reading_variance(pack, at.means.T, current_A, step_A)
     if has_temp:
         noise_R[:, 1, 1] = pack.temperature_sd_K**2
-    spread = observation @ at.P @ np.swapaxes(observation, 1, 2) + noise_R
+    spread = observation @ at.covariances @ np.swapaxes(observation, 1, 2) + noise_R
     nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
     # Far off (NIS above GATE): believe the reading less, so that its normalised innovation is GATE.
     doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
-    x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
-    log_weight = at.log_weight
+    x, P = _at_most_full(*condition(at.means, at.covariances, innovation, observation, doubted), condition)
+    log_weights, weight = at.log_weights, at.weights
     if weighs:
-        log_weight = weighed(log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
-    after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weight)
-    weight, soc = at.weight, float(after.weight @ x[:, X.SOC])
+        log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
+    if has_temp:
+        air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.temperature_sd_K, block.duration_s)
+    after = Belief(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weights, air.ambient_C)
+    soc = float(after.weights @ x[:, X.SOC])
     shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
-    return after, shown, float(weight @ innovation[:, 1]) if has_temp else math.nan
+    return after, shown, air
 
 
 def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Array]:

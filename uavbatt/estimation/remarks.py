@@ -7,7 +7,7 @@ import math
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackSize
-from uavbatt.estimation.filter import BeliefSummary
+from uavbatt.estimation.summary import BeliefSummary
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Sample
 

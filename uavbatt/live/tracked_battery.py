@@ -127,7 +127,7 @@ class TrackedBattery:
         if belief is None or resolved is None or last is None or past is None:
             return None
         return SavedBattery(
-            since_row_s=last.time_s - belief.time_s,
+            since_row_s=last.time_s - past.time_s,
             means=belief.means.tolist(),
             covariances=belief.covariances.tolist(),
             weights=belief.weights.tolist(),
@@ -137,7 +137,7 @@ class TrackedBattery:
             facts=facts,
             consumed_Ah=last.consumed_Ah,
             current_A=last.current_A,
-            past=past.moved(-belief.time_s),
+            past=past.moved(-past.time_s),
             fullest_cell_V=resolved.fullest_cell_V,
         )
 
@@ -156,9 +156,9 @@ class TrackedBattery:
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
             at_s = sample.time_s - age_s
-            belief = Belief(at_s, np.array(was.means), np.array(was.covariances), np.array(was.weights), was.ambient_C)
+            belief = Belief(np.array(was.means), np.array(was.covariances), np.log(was.weights), was.ambient_C)
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, age_s)
-            self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s), was.consumed_Ah)
+            self.estimator.restore(belief, was.past.moved(at_s), pack, was.facts, before_A, was.consumed_Ah)
         except Exception as error:  # no content of a file may end the process
             self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"

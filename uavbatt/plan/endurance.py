@@ -154,7 +154,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
-    return Belief(0.0, means, covariances, members.weight, ambient_C)
+    return Belief(means, covariances, np.log(members.weight), ambient_C)
 
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:

@@ -52,7 +52,8 @@ class FlightSoFar(NamedTuple):
         is_aloft : True in the air by position or by the autopilot, None if not known (`Navigation.is_aloft`).
         """
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
-        now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
+        is_new_flag = sample.armed is not None and sample.armed is not self.armed
+        now = (self._with_flag(sample) if is_new_flag else self)._with_rate(sample, dt_s, c_rate, is_aloft)
         if not math.isfinite(now.flying_since_s):
             return now
         load, step_s = now.load.after(sample.time_s, power_W), max(dt_s, 0.0)
@@ -76,13 +77,11 @@ class FlightSoFar(NamedTuple):
         )
 
     def _with_flag(self, sample: Sample) -> FlightSoFar:
-        """Return the past with the row's armed flag.
+        """Return the past with the armed flag of a row in which it has changed.
 
         Arming begins a flight, because the load before it was that of a payload. If the load already carries the
         aircraft, the flag was wrong for a moment (one damaged heartbeat).
         """
-        if sample.armed is None or sample.armed is self.armed:
-            return self
         if self.armed is False and not math.isfinite(self.flying_since_s):
             self = FlightSoFar(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
         return self._replace(armed=sample.armed, armed_since_s=sample.time_s)

@@ -75,8 +75,8 @@ class RecentLoad(NamedTuple):
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W)
         dt_s = max(time_s - self.time_s, 0.0)
-        means = ((self.mean_W, MEAN_TAU_S), (self.gust_W, GUST_TAU_S))
-        mean_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
+        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
+        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
         return RecentLoad(time_s, mean_W, gust_W, self.history.after(power_W, dt_s))
 
 

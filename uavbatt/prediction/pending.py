@@ -56,14 +56,13 @@ class Pending(NamedTuple):
         is_unsaid = not math.isfinite(remaining.remaining_s) and sample.armed is not False  # in flight
         if is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S:
             added.append(ENDS_SOON)
-        added += _of_route(remaining.route)
+        if remaining.route is not None:
+            added += _of_route(remaining.route)
         return replace(found, warnings=(*found.warnings, *added)) if added else found, remaining
 
 
-def _of_route(route: Route | None) -> tuple[Notice, ...]:
+def _of_route(route: Route) -> tuple[Notice, ...]:
     """Return the warning of a route that may end too early, if there is one."""
-    if route is None:
-        return ()
     if route.is_returning:
         return (MAY_NOT_LAND,) if route.risk > IN_TIME else ()
     return (TURN_BACK,) if route.must_turn_back_now else ()
