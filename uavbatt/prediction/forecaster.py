@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_voltage
 from uavbatt.battery.scaling import Pack
@@ -28,7 +29,7 @@ from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
-from uavbatt.prediction.route_forecast import Flying, WaysState
+from uavbatt.prediction.route_forecast import Flying, ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
@@ -165,11 +166,10 @@ class Forecaster:
         """Return the forecast to simulate from the belief and the load to come; None when no end is in sight."""
         known = route_forecast.to_come(self.settings.load, self._progress, navigation, time_s)
         load, now = known.load, self._now(belief, time_s, navigation)
-        typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
-        horizon_s = LONGEST_SHARE * typical_s
+        typical_s = max(self._energy_Wh(belief) * SECONDS_PER_HOUR / load.typical_W(now), 1.0)
         if not typical_s < LONGEST_FLIGHT_S:
             return None
-        by_rows = self._flight.row_s > SLOW_ROW_S
+        horizon_s, by_rows = LONGEST_SHARE * typical_s, self._flight.row_s > SLOW_ROW_S
         dt_s = self._flight.row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
@@ -187,23 +187,22 @@ class Forecaster:
             unresolved_s=0.0 if by_rows or isinstance(load, ConstantLoad) else dt_s,
             at_take_off=self._at_take_off and self._at_take_off.at_power(time_s, now.flight_W),
         )
-        if not navigation.has_way:
-            return question
-        ways = route_forecast.ways_state(known, navigation, time_s)
+        return self._with_ways(question, known, scenario, navigation, typical_s) if navigation.has_way else question
+
+    def _with_ways(
+        self, asked: Question, known: ToCome, scenario: Array, navigation: Navigation, typical_s: float
+    ) -> Question:
+        """Return what is asked with the way home and the rest of the route, if it is time to simulate them again.
+
+        scenario : which scenario of the load each draw flies [draws]; typical_s : about the time to the end [s].
+        """
+        ways = route_forecast.ways_state(known, navigation, asked.time_s)
         if not self._ways.is_due(ways, typical_s):
-            return question._replace(ways=self._ways)
-        flying = Flying(
-            question.pack,
-            question.x,
-            question.power_W,
-            question.ambient_C,
-            question.dt_s,
-            scenario,
-            question.reserve_soc,
-        )
-        home = route_forecast.homewards(self.settings.load, self._progress, navigation, time_s)
+            return asked._replace(ways=self._ways)
+        flying = Flying(asked.pack, asked.x, asked.power_W, asked.ambient_C, asked.dt_s, scenario, asked.reserve_soc)
+        home = route_forecast.homewards(self.settings.load, self._progress, navigation, asked.time_s)
         route = route_forecast.fly_ways(known, home, flying, way_of(self._progress), navigation.settings, typical_s)
-        return question._replace(route=route, ways=ways)
+        return asked._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
         """Return the forecast of a take-off now, with the load as it is known on the ground; no memory changes.
