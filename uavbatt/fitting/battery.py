@@ -11,7 +11,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
-from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
+from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
 from uavbatt.battery.sizing import PackOptions, PackSize, possible_facts, size_of_pack
 from uavbatt.battery.statements import first_voltages
 from uavbatt.dataset import DataSet
@@ -76,14 +76,6 @@ def fit_battery(
     fit = _solve(stack, len(bench), len(flight_records), has_spread, progress)
     error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     spread = float(np.std(fit.own[:, 1])) if has_spread else 0.0
-    capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
-    trajectory = solve.replay_fit(stack, fit)
-    source = f"{len(bench)} bench tests, {len(flight_records)} flights"
-    discrepancy = assemble.discrepancy(stack, trajectory, size.cells, held_out=False, source=source)
-    typical = range(len(bench), len(stack.names)) if len(flight_records) > 1 else range(len(stack.names))
-    discrepancy = msgspec.structs.replace(
-        discrepancy, wander=wander.learn(stack, trajectory, list(typical), size.cells)
-    )
     doubtful, unknown = _doubtful(fit), _unknown_words(fit, stack, bool(bench))
     file = BatteryFile(
         battery=Battery(
@@ -97,11 +89,12 @@ def fit_battery(
             remarks=[*doubtful, *unknown],
         ),
         parameters=assemble.parameter_table(
-            *(fit.slots, fit.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
+            *(fit.slots, fit.x, error, max(spread, MAKE_RESISTANCE_SD)),
+            MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD,
             spread_flights=len(flight_records) if has_spread else None,
         ),
         effects=assemble.effect_entries(fit.slots, fit.x, error, fit.effects),
-        discrepancy=discrepancy,
+        discrepancy=_discrepancy(stack, fit, size.cells, len(bench), len(flight_records)),
         certificate=Certificate(
             status="fitted",
             data_sha256=datasets[0].sha256 if len(datasets) == 1 else "",
@@ -110,6 +103,17 @@ def fit_battery(
     )
     determined = (*_known_words(fit), *(_pack_words(fit) if has_spread else ()))
     return FittedBattery(file, determined, unknown, doubtful)
+
+
+def _discrepancy(stack: Stack, fit: BatteryFit, cells: int, bench: int, flights: int) -> Discrepancy:
+    """Return what the fit leaves of the voltages; how it changes in time is learned from the flights, if there are two.
+
+    bench, flights : how many of the records are of either kind
+    """
+    trajectory, source = solve.replay_fit(stack, fit), f"{bench} bench tests, {flights} flights"
+    left = assemble.discrepancy(stack, trajectory, cells, held_out=False, source=source)
+    typical = range(bench if flights > 1 else 0, len(stack.names))
+    return msgspec.structs.replace(left, wander=wander.learn(stack, trajectory, list(typical), cells))
 
 
 def _solve(
