@@ -169,8 +169,6 @@ def test_fast_flight_that_many_flights_have_shown_is_known_better_than_one_that_
 
 def test_twenty_seconds_of_fast_flight_do_not_show_how_flights_differ_in_it_and_a_minute_does() -> None:
     """The noise of the power lasts for some seconds: so short a part has no mean of its own."""
-    brief, long = (
-        powers([joined(flown_at(0.0, 300, 1.0), flown_at(15.0, seconds, 1.0))] * 8) for seconds in (20, 60)
-    )
+    brief, long = (powers([joined(flown_at(0.0, 300, 1.0), flown_at(15.0, seconds, 1.0))] * 8) for seconds in (20, 60))
     assert brief is not None and long is not None
     assert long.fast_sd < 0.06 < FAST_SD < brief.fast_sd

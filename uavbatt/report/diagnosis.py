@@ -68,9 +68,7 @@ def diagnosis_report(diagnosis: Diagnosis, closed: ClosedLoop, old: BatteryFile,
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        answer(
-            paragraph(strong(words)), *may_hide, *(_suspect(c, several) for c in diagnosis.classes), mood=mood
-        ),
+        answer(paragraph(strong(words)), *may_hide, *(_suspect(c, several) for c in diagnosis.classes), mood=mood),
         section("Doubts", bullets(diagnosis.reasons)),
         *([section("Where the evidence lies", evidence_figure(diagnosis.blocks))] if diagnosis.blocks else []),
         section("Error before and after", _errors(closed, diagnosis.floor_V), *_worse(closed)),

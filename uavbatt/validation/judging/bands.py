@@ -46,7 +46,7 @@ class Components:
         return root
 
 
-def tolerance_factor(n: float, df: float, ) -> float:
+def tolerance_factor(n: float, df: float) -> float:
     """Return k with x̄ ± k·s holding CONTENT of the population with CONFIDENCE γ: z·√(ν(1+1/n)/χ²(1-γ;ν)) (Howe).
 
     n : number of results behind the mean, df : degrees of freedom ν of s; NaN where they are too few.
