@@ -183,3 +183,13 @@ def test_damage_is_among_what_a_person_should_look_at(tmp_path: Path) -> None:
     rows = table(tmp_path, "out")
     assert "more resistance at once: damaged?" in rows["3.tlog"]["look"]
     assert not any("pack 9" in rows[f"{day}.tlog"]["look"] for day in range(3))
+
+
+def test_two_logs_of_one_flight_are_said_to_be_one(tmp_path: Path) -> None:
+    """The second was opened a minute later, as by another ground station, and is shorter."""
+    (tmp_path / "logs").mkdir()
+    flown = simulate_flight(pack("b.tlog"), SimulatedFlight(power_W=500.0, rate_Hz=0.5, seed=1))
+    parameters = {"BATT_CAPACITY": 1000.0 * WHOLE, "BATT_CRT_VOLT": 13.2, "BATT_SERIAL_NUM": 9}
+    for name, part, late_s in (("whole", flown, 0), ("part", flown[:100], 60)):
+        write_tlog(tmp_path / f"logs/{name}.tlog", part, parameters, epoch_us=FIRST_US + late_s * 1_000_000)
+    assert "1 flight in out.sqlite, which remembers 1 pack;" in fleet(tmp_path, "out").stdout

@@ -89,3 +89,10 @@ def test_nothing_depends_on_a_later_row() -> None:
     amps = [0.1] * 10 + [3.0] * 6 + [14.0] * 40
     whole, cut = ([(r.remaining_lo_s, r.remaining_s, r.remaining_hi_s) for r in flown(a)] for a in (amps, amps[:40]))
     np.testing.assert_array_equal(whole[:40], cut)
+
+
+def test_a_load_that_doubles_in_flight_never_makes_the_time_longer() -> None:
+    """Two minutes after take-off one of two parallel packs falls out, and the other carries all."""
+    said = flown([0.1] * 20 + [14.0] * 120 + [28.0] * 60)
+    before = next(r.remaining_s for r in said if r.time_s == 139.0)
+    assert max(r.remaining_s for r in said if r.time_s >= 140.0) <= before

@@ -152,7 +152,8 @@ def _health_before_each(
         count = len(ledger.packs())
     for number, words in filled.left_out.items():
         remark(f"uavbatt: {found[number].name}: {words}")
-    told = f"{filled.saved} flights in {packs}, which remembers {count} pack{'s' * (count != 1)}"
+    flights, names = f"flight{'s' * (filled.saved != 1)}", f"pack{'s' * (count != 1)}"
+    told = f"{filled.saved} {flights} in {packs}, which remembers {count} {names}"
     return met, f"{told}; see `uavbatt packs {packs}`"
 
 

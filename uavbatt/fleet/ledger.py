@@ -17,20 +17,24 @@ Numbered = tuple[int, Lesson]
 
 @dataclass(frozen=True, slots=True)
 class LedgerUpdate:
-    """LedgerUpdate counts the flights saved in a ledger; `left_out` has the reason for each log that was not saved."""
+    """LedgerUpdate counts the flights that the ledger holds of these logs; `left_out` says why it lacks others."""
 
     saved: int
     left_out: dict[int, str]
 
 
 def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> LedgerUpdate:
-    """Save the records of the flights; return how many were saved, and which were left out."""
+    """Save the records of the flights; return how many flights they are, and which logs were left out.
+
+    Logs of one flight are one: the ledger keeps the longest.
+    """
     saved, left_out = 0, dict[int, str]()
     for name, flights in sorted(_by_pack(lessons).items()):
         teaching = [(number, lesson) for number, lesson in flights if lesson.taught is not None]
         while teaching:
             try:
-                saved += len(ledger.save_all(name, [lesson.taught for _, lesson in teaching if lesson.taught]))
+                stand = ledger.save_all(name, [lesson.taught for _, lesson in teaching if lesson.taught])
+                saved += len({one.flight.key for one in stand})
                 break
             except AnotherSize as error:
                 number, _ = teaching.pop(error.index)

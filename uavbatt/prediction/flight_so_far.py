@@ -16,6 +16,7 @@ FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+CARRIED_S = 60.0  # so long under a load that no payload draws: this was a flight, not spool-up
 NEW_PIECES = 2  # the newest powers may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
@@ -45,6 +46,13 @@ class FlightSoFar(NamedTuple):
     def mean_W(self) -> float:
         """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
         return max(LOWEST_POWER_W, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
+
+    def has_carried(self, c_per_W: float) -> bool:
+        """Return True if the load so far has surely carried the aircraft, so that a rise now is another load.
+
+        c_per_W : C-rate of a power of 1 W [1/(h W)]
+        """
+        return self.flown_s >= CARRIED_S and self.mean_W * c_per_W >= GROUNDED_C
 
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> FlightSoFar:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
