@@ -93,7 +93,7 @@ def test_a_px4_plan_begins_with_its_first_item_and_jumps_by_its_numbers(tmp_path
 
 @pytest.mark.parametrize("firmware", [3, 12])
 def test_the_items_of_a_plan_are_numbered_as_the_flown_autopilot_counts_them(tmp_path: Path, firmware: int) -> None:
-    """The ground station uploads a plan for one make of autopilot to the other, too: home is then put in or left out."""
+    """The ground station uploads a plan to the other make of autopilot, too: it puts home in or leaves it out."""
     planned = read_mission(written(tmp_path, plan(*ITEMS, firmware=firmware)))
     for is_px4 in (False, True):
         like = read_mission(written(tmp_path, plan(*ITEMS, firmware=12 if is_px4 else 3))).mission
