@@ -122,6 +122,9 @@ class ReturnSettings:
     return_climb_min_m: float = NAN  # climbs at least so much before it returns (RTL_CLIMB_MIN)
     return_cone_slope: float = NAN  # climbs no higher than so many metres a metre of distance home; 0 or NaN: no cone
     return_cone_within_m: float = NAN  # the cone counts only so near home; NaN: everywhere
+    circle_radius_m: float = NAN  # of turns whose item has no radius (CIRCLE_RADIUS)
+    circle_rate_deg_s: float = NAN  # fastest turn on a circle, negative anticlockwise (CIRCLE_RATE)
+    acceleration_ms2: float = NAN  # on the route (WPNAV_ACCEL)
     return_reason: str = ""  # why the way home is not straight, if it is not (rally points, a mission's landing)
     is_px4: bool = False  # what is not known is PX4's default, else ArduCopter's
 

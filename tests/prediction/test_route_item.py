@@ -85,20 +85,14 @@ def test_a_return_whose_climb_ends_elsewhere_is_followed(height_m: float) -> Non
         assert said_s == pytest.approx(true_s, abs=35.0)
 
 
-def test_turns_begin_at_the_edge_of_their_circle() -> None:
-    """ArduCopter flies to the nearest point of the circle and never to its centre."""
+def test_turns_are_flown_around_their_circle() -> None:
+    """A simulated aircraft stays on the circle, at the speed of the leg."""
     circle = to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0)
     flight = flight_of(UP, circle, replace(RETURN, seq=3))
-    edge_s = flight.begins_s[1] + 260.0 / 5.0
-
-    def place(time_s: float) -> Position:
-        if not edge_s < time_s < edge_s + 4.0 * ROUND_S:
-            return flight.position(min(time_s, edge_s) if time_s <= edge_s else time_s)
-        angle = 2.0 * math.pi * (time_s - edge_s) / ROUND_S
-        north_m, east_m = 300.0 - 40.0 * math.cos(angle), 40.0 * math.sin(angle)
-        lon = HOME.lon_deg + east_m / METRES_PER_DEGREE / math.cos(math.radians(HOME.lat_deg))
-        north_ms, east_ms = 5.0 * math.sin(angle), 5.0 * math.cos(angle)
-        return Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, lon, 20.0, north_ms, east_ms, 0.0)
-
-    for said_s, true_s in touchdowns(flight, SETTINGS, place):
-        assert said_s == pytest.approx(true_s, abs=20.0)
+    for since_s in (1.0, 0.3 * ROUND_S, 2.8 * ROUND_S):
+        here = flight.position(flight.begins_s[2] + since_s)
+        north_m = (here.lat_deg - HOME.lat_deg) * METRES_PER_DEGREE - 300.0
+        east_m = (here.lon_deg - HOME.lon_deg) * METRES_PER_DEGREE * math.cos(math.radians(HOME.lat_deg))
+        assert math.hypot(north_m, east_m) == pytest.approx(40.0, abs=0.1)
+        assert here.airspeed_ms == pytest.approx(5.0)
+        assert north_m * here.north_ms + east_m * here.east_ms == pytest.approx(0.0, abs=0.5)

@@ -71,11 +71,41 @@ def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:
 
 
 def test_turns_without_a_radius_are_those_of_the_autopilots_own() -> None:
-    """ArduCopter flies circles of CIRCLE_RADIUS, 10 m, where the item says 0."""
+    """ArduCopter flies circles of CIRCLE_RADIUS (10 m) where the item says 0, and turns at CIRCLE_RATE (20 deg/s)."""
     turns = to(1, 100.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=3.0)
     own, said = (path(mission(replace(turns, radius_m=radius_m)), HOME, SETTINGS).legs for radius_m in (0.0, -10.0))
     assert own == said
-    assert own[1].moving_s == pytest.approx(3.0 * 2.0 * math.pi * 10.0 / 5.0)
+    assert own[1].moving_s == pytest.approx(3.0 * 360.0 / 20.0)
+    stated = path(mission(turns), HOME, replace(SETTINGS, circle_radius_m=30.0, circle_rate_deg_s=-6.0)).legs
+    assert stated[1].circle_m == 30.0
+    assert stated[1].moving_s == pytest.approx(3.0 * 360.0 / 6.0)
+
+
+def test_a_circle_is_flown_with_half_of_the_acceleration_inwards_at_most() -> None:
+    """ArduCopter bounds the speed on a circle so (v² / r ≤ a / 2); a PX4 does not."""
+    turns = to(1, 200.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=1.0, radius_m=40.0)
+    fast = replace(SETTINGS, cruise_ms=10.0)
+    assert path(mission(turns), HOME, fast).legs[1].speed_ms == pytest.approx(math.sqrt(0.5 * 2.5 * 40.0))
+    gentle = path(mission(turns), HOME, replace(fast, acceleration_ms2=1.0))
+    assert gentle.legs[1].speed_ms == pytest.approx(math.sqrt(0.5 * 1.0 * 40.0))
+    assert path(mission(turns), HOME, replace(fast, is_px4=True)).legs[1].speed_ms == 10.0
+
+
+def test_turns_begin_at_the_near_edge_and_end_where_they_are_over() -> None:
+    turns = to(1, 200.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=1.5, radius_m=40.0)
+    legs = path(mission(turns, to(2, 240.0, 100.0, 40.0)), HOME, SETTINGS).legs
+    assert legs[0].run_m == pytest.approx(160.0, abs=0.1)
+    assert legs[2].begin == pytest.approx((240.0, 0.0, 40.0), abs=0.1)
+    assert legs[2].run_m == pytest.approx(100.0, abs=0.1)
+
+
+def test_a_take_off_goes_straight_up_and_only_a_px4_then_flies_to_its_place() -> None:
+    up = to(1, 300.0, 0.0, 50.0, action=Action.TAKEOFF)
+    copter, px4 = (path(mission(up), HOME, replace(SETTINGS, is_px4=is_px4)).legs for is_px4 in (False, True))
+    assert copter[0] == px4[0]
+    assert (copter[0].end, copter[0].run_m, copter[0].moving_s) == (Point(0.0, 0.0, 50.0), 0.0, 50.0 / 2.5)
+    assert copter[1].phase is Phase.LANDING
+    assert px4[1].phase is Phase.ROUTE and px4[1].run_m == pytest.approx(300.0, abs=0.1)
 
 
 def test_a_mission_across_the_antimeridian_is_as_short_as_elsewhere() -> None:

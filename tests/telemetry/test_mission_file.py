@@ -10,10 +10,12 @@ import pytest
 from route_rig import HOME, SETTINGS
 
 from uavbatt.errors import BadInput
-from uavbatt.navigation import Action, Home, Mode, Navigation, Position
+from uavbatt.log_replay.run import with_mission
+from uavbatt.navigation import Action, Home, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.route_ahead import ahead
 from uavbatt.prediction.route_path import path
 from uavbatt.prediction.route_progress import Progress
+from uavbatt.records import Flight
 from uavbatt.telemetry.formats.mission_file import read_mission
 
 WAYPOINTS = """QGC WPL 110
@@ -87,6 +89,19 @@ def test_a_px4_plan_begins_with_its_first_item_and_jumps_by_its_numbers(tmp_path
     assert [i.seq for i in found.items] == list(range(6))
     assert found.items[0].action is Action.TAKEOFF
     assert found.items[4].jump_to == 1  # the survey's first waypoint
+
+
+@pytest.mark.parametrize("firmware", [3, 12])
+def test_the_items_of_a_plan_are_numbered_as_the_flown_autopilot_counts_them(tmp_path: Path, firmware: int) -> None:
+    """The ground station uploads a plan to the other make of autopilot, too: it puts home in or leaves it out."""
+    planned = read_mission(written(tmp_path, plan(*ITEMS, firmware=firmware)))
+    for is_px4 in (False, True):
+        like = read_mission(written(tmp_path, plan(*ITEMS, firmware=12 if is_px4 else 3))).mission
+        heard = Navigation(settings=ReturnSettings(is_px4=is_px4))
+        flight = Flight("flight.tlog", "tlog", (), navigation=(heard,))
+        used = with_mission(flight, planned).navigation[0].mission
+        assert used is not None and used.has_home_item is not is_px4
+        assert [(i.seq, i.action, i.jump_to) for i in used.items] == [(i.seq, i.action, i.jump_to) for i in like.items]
 
 
 @pytest.mark.parametrize(

@@ -172,11 +172,17 @@ def test_old_and_new_names_of_ardupilot_say_the_same() -> None:
         "WPNAV_SPEED": 750.0, "WPNAV_SPEED_UP": 250.0, "WPNAV_SPEED_DN": 150.0, "RTL_ALT": 3000.0, "RTL_SPEED": 900.0,
         "LAND_SPEED": 50.0, "LAND_SPEED_HIGH": 120.0, "LAND_ALT_LOW": 1000.0, "RTL_ALT_FINAL": 0.0, "WPNAV_RADIUS": 200,
         "RTL_CLIMB_MIN": 500.0,
+        "CIRCLE_RADIUS": 2500.0,
+        "WPNAV_ACCEL": 150.0,
+        "CIRCLE_RATE": -15.0,
     }  # fmt: skip
     new = {
         "WP_SPD": 7.5, "WP_SPD_UP": 2.5, "WP_SPD_DN": 1.5, "RTL_ALT_M": 30.0, "RTL_SPEED_MS": 9.0, "LAND_SPD_MS": 0.5,
         "LAND_SPD_HIGH_MS": 1.2, "LAND_ALT_LOW_M": 10.0, "RTL_ALT_FINAL_M": 0.0, "WP_RADIUS_M": 2.0,
         "RTL_CLIMB_MIN_M": 5.0,
+        "CIRCLE_RADIUS_M": 25.0,
+        "WP_ACC": 1.5,
+        "CIRCLE_RATE": -15.0,
     }  # fmt: skip
     one, other = return_settings(old), return_settings(new)
     assert repr(one) == repr(other)

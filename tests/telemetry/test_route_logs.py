@@ -274,6 +274,7 @@ def test_the_place_of_a_px4_log_counts_from_its_home(shared_data: Path) -> None:
     pytest.importorskip("pyulog")
     found = read_log(shared_data / "flights" / "px4" / "hexa_6s_33s.ulg")
     last = found.navigation[-1]
+    assert all(n.settings.is_px4 for n in found.navigation)
     assert last.home is not None
     assert last.position is not None
     assert last.current is None  # a log without a mission names item 0 all the same

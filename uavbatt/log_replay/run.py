@@ -78,9 +78,8 @@ def recorded_period_s(flight: Flight) -> float:
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     """Return the flight with the mission of a file instead of the log's own."""
-    return replace(
-        flight, navigation=tuple(known.with_plan(planned.mission, planned.home) for known in flight.navigation)
-    )
+    flown = (known.with_plan(planned.mission_on(known.settings.is_px4), planned.home) for known in flight.navigation)
+    return replace(flight, navigation=tuple(flown))
 
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
@@ -40,7 +41,7 @@ class Leg(NamedTuple):
     climb_ms: float
     descent_ms: float
     hold_s: float = 0.0
-    circle_m: float = 0.0  # radius of a circle around `end`; 0 if the leg is straight
+    circle_m: float = 0.0  # radius of a circle around `end` from `begin` on; 0 if the leg is straight
 
     @property
     def rise_m(self) -> float:
@@ -63,6 +64,24 @@ class Leg(NamedTuple):
         """Return the speed that has to be gained and lost again: the larger of horizontal and vertical speed [m/s]."""
         moving_s = self.moving_s
         return max(self.run_m, abs(self.rise_m)) / moving_s if moving_s > 0.0 else 0.0
+
+
+def edge(centre: Point, radius_m: float, seen_from: Point) -> Point:
+    """Return the point of a circle that is nearest to a place, at the height of the circle."""
+    angle = math.atan2(seen_from.east_m - centre.east_m, seen_from.north_m - centre.north_m)
+    return _at_angle(centre, radius_m, angle)
+
+
+def on_circle(leg: Leg, share: float) -> Point:
+    """Return the place on a leg of turns after a share of it; the turns are clockwise, seen from above."""
+    begin = math.atan2(leg.begin.east_m - leg.end.east_m, leg.begin.north_m - leg.end.north_m)
+    return _at_angle(leg.end, leg.circle_m, begin + share * leg.run_m / leg.circle_m)
+
+
+def _at_angle(centre: Point, radius_m: float, angle: float) -> Point:
+    """Return the point of a circle at an angle from north, clockwise [rad]."""
+    north_m, east_m = radius_m * math.cos(angle), radius_m * math.sin(angle)
+    return Point(centre.north_m + north_m, centre.east_m + east_m, centre.height_m)
 
 
 class LegsTable(NamedTuple):

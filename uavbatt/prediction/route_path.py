@@ -13,14 +13,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
-from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, legs_table
+from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, edge, legs_table, on_circle
 
 METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
 ENDLESS_S = 1e6  # a loiter without end
 SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
-CIRCLE_RADIUS_M = 10.0
+CIRCLE_RADIUS_M, CIRCLE_RATE_DEG_S, ACCELERATION_MS2 = 10.0, 20.0, 2.5  # ArduCopter's, where it does not state them
+NEAR_M = 1.0  # a take-off so near its place does not fly there
 ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
 
@@ -150,7 +151,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if isinstance(found, str):
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
-        at = legs[-1].end if legs else at
+        at = _left_at(legs[-1]) if legs else at
         if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
             return Path(reason=f"the mission flies on after landing at item {item.seq}")
         if item.action is Action.RETURN and elsewhere:
@@ -217,19 +218,51 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
     to = _target(item, at, home)
     if isinstance(to, str):
         return to
-    run_m = math.dist(at[:2], to[:2])
     if item.action is Action.TAKEOFF:
-        return [Leg(item.seq, Phase.TAKE_OFF, at, to, run_m, *speeds)]
+        return _take_off(item, at, to, speeds, settings.is_px4)
+    if item.action is Action.LOITER_TURNS and item.turns > 0.0:
+        return _turns(item, at, to, speeds, settings)
+    run_m = math.dist(at[:2], to[:2])
     if item.action is Action.SPLINE:
         run_m *= SPLINE_LENGTHENS
     legs = [Leg(item.seq, Phase.ROUTE, at, to, run_m, *speeds, max(item.hold_s, 0.0))]
-    if item.action is Action.LOITER_TURNS and item.turns > 0.0:
-        radius_m = abs(item.radius_m) or CIRCLE_RADIUS_M
-        length_m = 2.0 * math.pi * radius_m * item.turns
-        legs.append(Leg(item.seq, Phase.ROUTE, to, to, length_m, *speeds, circle_m=radius_m))
     if item.action is Action.LOITER_UNLIMITED:
         legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
+
+
+def _take_off(item: MissionItem, at: Point, to: Point, speeds: _Speeds, is_px4: bool) -> list[Leg]:
+    """Return the legs of a take-off: straight up. A PX4 then flies to the item's place, an ArduCopter ignores it."""
+    above = at._replace(height_m=to.height_m)
+    legs, run_m = [Leg(item.seq, Phase.TAKE_OFF, at, above, 0.0, *speeds)], math.dist(at[:2], to[:2])
+    if is_px4 and run_m > NEAR_M:
+        legs.append(Leg(item.seq, Phase.ROUTE, above, to, run_m, *speeds))
+    return legs
+
+
+def _turns(item: MissionItem, at: Point, centre: Point, speeds: _Speeds, settings: ReturnSettings) -> list[Leg]:
+    """Return the legs of turns: to the nearest point of the circle, and the circle; the centre is never flown to."""
+    radius_m = abs(item.radius_m) or finite_or(settings.circle_radius_m, CIRCLE_RADIUS_M)
+    begin, round_speeds = edge(centre, radius_m, at), speeds
+    if not settings.is_px4:
+        round_speeds = speeds._replace(cruise_ms=min(speeds.cruise_ms, _fastest_on_circle_ms(radius_m, settings)))
+    length_m = 2.0 * math.pi * radius_m * item.turns
+    return [
+        Leg(item.seq, Phase.ROUTE, at, begin, math.dist(at[:2], begin[:2]), *speeds),
+        Leg(item.seq, Phase.ROUTE, begin, centre, length_m, *round_speeds, circle_m=radius_m),
+    ]
+
+
+def _left_at(leg: Leg) -> Point:
+    """Return where the aircraft leaves a leg: its end, or the point of its circle where the turns end."""
+    return on_circle(leg, 1.0) if leg.circle_m > 0.0 else leg.end
+
+
+def _fastest_on_circle_ms(radius_m: float, settings: ReturnSettings) -> float:
+    """Return ArduCopter's highest speed on a circle: that of its turn rate, and of half of its acceleration inwards."""
+    turn_rad_s = math.radians(finite_or(abs(settings.circle_rate_deg_s), CIRCLE_RATE_DEG_S))
+    inwards_ms2 = 0.5 * finite_or(settings.acceleration_ms2, ACCELERATION_MS2)
+    return min(turn_rad_s * radius_m, math.sqrt(inwards_ms2 * radius_m))
 
 
 def _at_height(item: MissionItem, at: Point) -> MissionItem:

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, Wind
-from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, Path, path
 from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
 from uavbatt.telemetry.route.commands import WAYPOINT
@@ -59,9 +59,9 @@ class RouteFlight:
         leg, since_s = self._leg(time_s), time_s - self.begins_s[self._index(time_s)]
         is_moving = 0.0 <= since_s < leg.moving_s and time_s < self.lands_s
         share = min(max(since_s / leg.moving_s, 0.0), 1.0) if leg.moving_s > 0.0 else 1.0
-        place = Point(*(a + share * (b - a) for a, b in zip(leg.begin, leg.end, strict=True)))
+        place, moved = _on_leg(leg, share)
         rate = 1.0 / leg.moving_s if is_moving else 0.0
-        north_ms, east_ms, up_ms = ((b - a) * rate for a, b in zip(leg.begin, leg.end, strict=True))
+        north_ms, east_ms, up_ms = (metres * rate for metres in moved)
         in_air = self.begins_s[0] <= time_s < self.lands_s
         wind = self.wind if in_air else Wind(0.0, 0.0)
         return Position(
@@ -98,6 +98,16 @@ def route_flight(
     times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
     return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
+
+
+def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
+    """Return the place after a share of a leg, and the way along its direction there over the whole leg [m]."""
+    if leg.circle_m > 0.0:
+        here = on_circle(leg, share)
+        along = leg.run_m / leg.circle_m
+        return here, (-along * (here.east_m - leg.end.east_m), along * (here.north_m - leg.end.north_m), 0.0)
+    place = Point(*(a + share * (b - a) for a, b in zip(leg.begin, leg.end, strict=True)))
+    return place, (leg.end.north_m - leg.begin.north_m, leg.end.east_m - leg.begin.east_m, leg.rise_m)
 
 
 def _with_home_item(mission: Mission, home: Home) -> Mission:

@@ -35,11 +35,22 @@ _GLOBAL = 0  # MAV_FRAME: height above sea
 
 
 class PlannedFlight(NamedTuple):
-    """A PlannedFlight holds a file's mission, and what it says of home and of the speed it was planned with [m/s]."""
+    """A PlannedFlight holds a file's mission, and what it says of home and of the speed it was planned with [m/s].
+
+    for_other : the mission as the ground station uploads it to the other make of autopilot, which counts items
+    differently; None if the file does not tell
+    """
 
     mission: Mission
     home: Home | None
     cruise_ms: float = NAN
+    for_other: Mission | None = None
+
+    def mission_on(self, is_px4: bool) -> Mission:
+        """Return the mission with its items numbered as this autopilot (PX4 or ArduPilot) counts them."""
+        if self.for_other is None or self.mission.has_home_item is not is_px4:
+            return self.mission
+        return self.for_other
 
 
 class _Transects(msgspec.Struct):
@@ -93,7 +104,8 @@ def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
     ]
     has_home = bool(said) and said[0].command == commands.WAYPOINT
     home = Home(said[0].lat_deg, said[0].lon_deg, _sea_m(said[0])) if has_home else None
-    return PlannedFlight(_mission(path, said, has_home), home if home and (home.lat_deg or home.lon_deg) else None)
+    mission = _mission(path, said, has_home, is_px4=not has_home)
+    return PlannedFlight(mission, home if home and (home.lat_deg or home.lon_deg) else None)
 
 
 def _sea_m(fields: Fields) -> float:
@@ -122,15 +134,23 @@ def _plan(path: str | Path, data: bytes) -> PlannedFlight:
     is_px4 = said.firmware == _FIRMWARE_PX4
     place = [NAN if v is None else v for v in said.home or ()]
     home = Home(place[0], place[1], place[2] if len(place) > 2 else NAN) if len(place) > 1 else None
-    flat = list(_flattened(path, said.items))
-    first = 0 if is_px4 else 1
+    mission, for_other = (_uploaded(path, plan, home, is_px4, has_home) for has_home in (not is_px4, is_px4))
+    return PlannedFlight(mission, home, said.hover_ms or NAN, for_other)
+
+
+def _uploaded(path: str | Path, plan: _Plan, home: Home | None, is_px4: bool, has_home_item: bool) -> Mission:
+    """Return the mission as the ground station uploads it, with home as item 0 or without it.
+
+    is_px4 : the plan was made for a PX4, which reads some fields differently
+    """
+    first, flat = int(has_home_item), list(_flattened(path, plan.mission.items))
     seq_of = {item.jump_id: seq for seq, item in enumerate(flat, start=first)}
     fields = [_fields(path, seq, item, seq_of) for seq, item in enumerate(flat, start=first)]
-    if not is_px4:
+    if has_home_item:
         at = home or Home(0.0, 0.0, 0.0)
         fields.insert(0, Fields(0, _GLOBAL, commands.WAYPOINT, 0.0, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, at.alt_m))
-    mission = dataclasses.replace(_mission(path, fields, not is_px4), return_reason=_return_reason(plan.rally))
-    return PlannedFlight(mission, home, said.hover_ms or NAN)
+    found = _mission(path, fields, has_home_item, is_px4)
+    return dataclasses.replace(found, return_reason=_return_reason(plan.rally))
 
 
 def _return_reason(rally: _RallyPoints | None) -> str:
@@ -162,6 +182,6 @@ def _fields(path: str | Path, seq: int, item: _Item, seq_of: dict[int, int]) -> 
     return Fields(seq, item.frame, item.command, *params[:4], *params[4:])
 
 
-def _mission(path: str | Path, said: Sequence[Fields], has_home_item: bool) -> Mission:
-    items = [commands.mission_item(fields, is_px4=not has_home_item) for fields in said]
+def _mission(path: str | Path, said: Sequence[Fields], has_home_item: bool, is_px4: bool) -> Mission:
+    items = [commands.mission_item(fields, is_px4) for fields in said]
     return commands.mission(items, Path(path).name, has_home_item)

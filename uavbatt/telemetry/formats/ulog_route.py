@@ -40,6 +40,7 @@ def navigation(ulog: Any, parameters: Sequence[tuple[float, str, float]]) -> tup
     parameters : (time [s], name, value), ascending
     """
     builder = NavigationBuilder(keeps_all=True)
+    builder.autopilot(0.0, is_px4=True)
     topics = {topic.name: topic.data for topic in ulog.data_list if topic.multi_id == 0 and topic.name in OF_ROUTE}
     told = [event for name, data in topics.items() for event in _events(name, data, topics, ulog, builder)]
     told.sort(key=lambda event: event[0])

@@ -101,7 +101,9 @@ class LiveReader:
         """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
         vehicle = self.followed
         known = vehicle.route.now if vehicle is not None else NOWHERE
-        return known.with_plan(self.planned.mission, self.planned.home) if self.planned is not None else known
+        if self.planned is None:
+            return known
+        return known.with_plan(self.planned.mission_on(known.settings.is_px4), self.planned.home)
 
     @property
     def parameters(self) -> Mapping[str, float]:

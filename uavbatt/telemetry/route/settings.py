@@ -24,13 +24,16 @@ _RETURN_HOLD = (("RTL_LOIT_TIME", 0.001), ("RTL_LAND_DELAY", 1.0))
 _LAND = (("LAND_SPD_MS", 1.0), ("LAND_SPEED", _CENTI), ("MPC_LAND_SPEED", 1.0))
 _LAND_FAST = (("LAND_SPD_HIGH_MS", 1.0), ("LAND_SPEED_HIGH", _CENTI))
 _LAND_SLOW_BELOW = (("LAND_ALT_LOW_M", 1.0), ("LAND_ALT_LOW", _CENTI), ("MPC_LAND_ALT2", 1.0))
+_CIRCLE_RADIUS = (("CIRCLE_RADIUS_M", 1.0), ("CIRCLE_RADIUS", _CENTI))
+_CIRCLE_RATE = (("CIRCLE_RATE", 1.0),)
+_ACCELERATION = (("WP_ACC", 1.0), ("WPNAV_ACCEL", _CENTI))
 _CONE_SLOPE, _CONE_ANGLE_DEG = "RTL_CONE_SLOPE", "RTL_CONE_ANG"
 _PX4_MIN_DIST, _PX4_MIN_DIST_M = "RTL_MIN_DIST", 10.0
 _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
 _RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
 _ALL = (
     _CRUISE, _CLIMB, _DESCENT, _RETURN_HEIGHT, _RETURN_SPEED, _RETURN_FINAL, _RETURN_CLIMB_MIN, _RETURN_HOLD, _LAND,
-    _LAND_FAST, _LAND_SLOW_BELOW,
+    _LAND_FAST, _LAND_SLOW_BELOW, _CIRCLE_RADIUS, _CIRCLE_RATE, _ACCELERATION,
 )  # fmt: skip
 
 NAMES = frozenset(name for names in _ALL for name, _ in names) | {
@@ -55,6 +58,9 @@ def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnS
         return_climb_min_m=_first(known, _RETURN_CLIMB_MIN),
         return_cone_slope=_cone_slope(known),
         return_cone_within_m=known.get(_PX4_MIN_DIST, _PX4_MIN_DIST_M) if _CONE_ANGLE_DEG in known else NAN,
+        circle_radius_m=_positive(known, _CIRCLE_RADIUS),
+        circle_rate_deg_s=_first(known, _CIRCLE_RATE),
+        acceleration_ms2=_positive(known, _ACCELERATION),
         return_reason=_reason(known),
         is_px4=is_px4,
     )
