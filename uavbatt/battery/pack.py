@@ -59,14 +59,9 @@ def c_rate(pack: Installation, current_A: Number) -> Number:
     return current_A / pack.present_capacity_Ah
 
 
-def grown_gain(p: Parameters, pack: Installation) -> Number:
-    """Return the gain [-] on the cell's resistances with the pack's resistance growth in it."""
-    return p.resistance_gain * (1.0 + pack.growth)
-
-
 def grown(p: Parameters, pack: Installation) -> Parameters:
     """Return the cell's parameters with the pack's resistance growth in them."""
-    return p._replace(resistance_gain=grown_gain(p, pack))
+    return p._replace(resistance_gain=p.resistance_gain * (1.0 + pack.growth))
 
 
 def weak_soc(pack: Installation, soc: Number) -> Number:
