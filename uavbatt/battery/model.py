@@ -4,7 +4,8 @@
     R     = r R0(soc) exp(E (1/T - 1/T_ref))             resistance at once [ohm·Ah]
     v_f'  = (c R k_f + OCV(soc) - OCV(soc - c h_s) - v_f)/tau_f    polarisation (seconds)
     v_s'  = (c R k_s exp(E_s (1/T - 1/T_ref)) - v_s)/tau_s         slow diffusion (minutes)
-    T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
+    T'    = (g_T c U - h (1 + g_a |c|) (T - T_ambient))/C_th       self heating
+    U     = v_f + v_s + c (R + R_t)                      what is lost of the voltage to heat
     V     = OCV(soc) - V_h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
     R_t   = V_t/(|c| + c_t)                              charge transfer that has become sluggish
 

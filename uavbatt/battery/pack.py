@@ -2,6 +2,7 @@
 
     I_true = (I_meas - offset)/gain + P_unmetered/V_meas
     c      = I_true / (Q (1 - fade))
+    r      = r_type (1 + growth)
     V_meas = gain_V ((n-1) V(soc) + V(soc_weak) - I_true R_harness) + offset_V
 
 Charge is normalised by the pack's present capacity: a faded pack draws a higher C-rate at the same current, so that
