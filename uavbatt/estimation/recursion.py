@@ -172,8 +172,8 @@ def _innovations(pack: Pack, rows: Sequence[tuple[int, FilterState, float]]) -> 
     drawn_As, current_A = np.array(charges_As)[:, None], np.array(currents_A)[:, None]
     x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
     expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
-    for k, voltage_V, volts_V, of_row, means in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
-        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ means[:, X.SOC]))
+    for k, voltage_V, volts_V, of_row, x_of_row in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
+        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC]))
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
