@@ -103,9 +103,20 @@ def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> 
     return 2.0 * reachable / (emf_V + root)
 
 
-def segment(position: Number, segments: float) -> Number:
-    """Return the index of the segment of a uniform grid that `position` [grid steps] falls into; the end ones go on."""
-    return np.intp(np.minimum(np.maximum(position, 0.0), segments - 1.0))  # cut off: the floor of what is positive
+def segment(value: Number, first: float, step: float, segments: float) -> tuple[Number, Number]:
+    """Return the index of the segment that a value falls into, and the share (0 to 1) of the way through it.
+
+    The grid is uniform: `segments` of length `step` from `first` on. Beyond its ends the index is that of the end
+    segment, and the share is below 0 or above 1.
+    """
+    position = (value - first) / step
+    index = np.intp(np.minimum(np.maximum(position, 0.0), segments - 1.0))  # cut off: the floor of what is positive
+    return index, position - index
+
+
+def held(share: Number) -> Number:
+    """Return the share of the way through a segment kept within 0..1, for tables that are flat beyond their ends."""
+    return np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def interpolated(table: NDArray[np.float64], index: Number, share: Number) -> Number:

@@ -4,7 +4,8 @@
     R     = r R0(soc) exp(E (1/T - 1/T_ref))             resistance at once [ohm·Ah]
     v_f'  = (c R k_f + OCV(soc) - OCV(soc - c h_s) - v_f)/tau_f    polarisation (seconds)
     v_s'  = (c R k_s exp(E_s (1/T - 1/T_ref)) - v_s)/tau_s         slow diffusion (minutes)
-    T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
+    T'    = (g_T c U - h (1 + g_a |c|) (T - T_ambient))/C_th       self heating
+    U     = v_f + v_s + c (R + R_t)                      what is lost of the voltage to heat
     V     = OCV(soc) - V_h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
     R_t   = V_t/(|c| + c_t)                              charge transfer that has become sluggish
 
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 
 SOC_GRID = np.linspace(-0.05, 1.05, 221)  # tables are dense and uniform so that a look-up is an index
 LOWEST_SOC, GRID_STEP = float(SOC_GRID[0]), float(SOC_GRID[1] - SOC_GRID[0])
-LAST_POSITION = SOC_GRID.size - 1.0
+SEGMENTS = SOC_GRID.size - 1.0
 TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
 MOST_STEPS = 720  # after more than an hour of silence a pack rests: longer steps do no harm
@@ -78,16 +79,14 @@ def rested(soc: Number, temp_C: Number) -> State:
 
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
     """Return OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
-    position = (soc - LOWEST_SOC) / GRID_STEP
-    index = eq.segment(position, LAST_POSITION)
-    return _ocv_V(p, soc, eq.interpolated(p.ocv_V, index, position - index))
+    index, share = eq.segment(soc, LOWEST_SOC, GRID_STEP, SEGMENTS)
+    return _ocv_V(p, soc, eq.interpolated(p.ocv_V, index, share))
 
 
 def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
     """Return R0(soc, T) [ohm·Ah], the resistance at once of one cell; flat beyond the ends of its table."""
-    position = (soc - LOWEST_SOC) / GRID_STEP
-    index = eq.segment(position, LAST_POSITION)
-    return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, held_position(position) - index), core_C)
+    index, share = eq.segment(soc, LOWEST_SOC, GRID_STEP, SEGMENTS)
+    return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, eq.held(share)), core_C)
 
 
 def _ocv_V(p: Parameters, soc: Number, charged_V: Number) -> Number:
@@ -107,10 +106,9 @@ def source(p: Parameters, s: State) -> tuple[Number, Number]:
 
     The electromotive force is the voltage that the terminals would show with the current cut off this instant.
     """
-    position = (s.soc - LOWEST_SOC) / GRID_STEP
-    index = eq.segment(position, LAST_POSITION)
-    charged_V = eq.interpolated(p.ocv_V, index, position - index)
-    return source_from(p, s, charged_V, eq.interpolated(p.r0_ohmAh, index, held_position(position) - index))
+    index, share = eq.segment(s.soc, LOWEST_SOC, GRID_STEP, SEGMENTS)
+    charged_V = eq.interpolated(p.ocv_V, index, share)
+    return source_from(p, s, charged_V, eq.interpolated(p.r0_ohmAh, index, eq.held(share)))
 
 
 def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -> tuple[Number, Number]:
@@ -119,24 +117,14 @@ def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -
     return emf_V, _r0_ohmAh(p, new_ohmAh, s.core_C)
 
 
-def held_position(position: Number) -> Number:
-    """Return the position [grid steps] kept within the table, for tables that are flat beyond their ends."""
-    return np.minimum(np.maximum(position, 0.0), LAST_POSITION)
-
-
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
     """Return the terminal voltage of one cell [V] under `c_rate` [1/h]."""
     emf_V, r_ohmAh = source(p, s)
-    return loaded_voltage(p, emf_V, r_ohmAh, c_rate)
-
-
-def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
-    """Return the voltage [V] of `emf_V` behind `series_ohmAh`, the cell's own resistance included, under `c_rate`."""
-    return voltage_under(emf_V, series_ohmAh, UnderLoad(c_rate, transfer_drop(p, c_rate)))
+    return voltage_under(emf_V, r_ohmAh, UnderLoad(c_rate, transfer_drop(p, c_rate)))
 
 
 def voltage_under(emf_V: Number, series_ohmAh: Number, under: UnderLoad) -> Number:
-    """Return `loaded_voltage` [V] with a known drop of a slow reaction."""
+    """Return the voltage [V] under a load of `emf_V` behind `series_ohmAh`, the cell's own resistance included."""
     return emf_V - under.c_rate * series_ohmAh - under.transfer_V
 
 

@@ -2,6 +2,7 @@
 
     I_true = (I_meas - offset)/gain + P_unmetered/V_meas
     c      = I_true / (Q (1 - fade))
+    r      = r_type (1 + growth)
     V_meas = gain_V ((n-1) V(soc) + V(soc_weak) - I_true R_harness) + offset_V
 
 Charge is normalised by the pack's present capacity: a faded pack draws a higher C-rate at the same current, so that
@@ -59,14 +60,9 @@ def c_rate(pack: Installation, current_A: Number) -> Number:
     return current_A / pack.present_capacity_Ah
 
 
-def grown_gain(p: Parameters, pack: Installation) -> Number:
-    """Return the gain [-] on the cell's resistances with the pack's resistance growth in it."""
-    return p.resistance_gain * (1.0 + pack.growth)
-
-
 def grown(p: Parameters, pack: Installation) -> Parameters:
     """Return the cell's parameters with the pack's resistance growth in them."""
-    return p._replace(resistance_gain=grown_gain(p, pack))
+    return p._replace(resistance_gain=p.resistance_gain * (1.0 + pack.growth))
 
 
 def weak_soc(pack: Installation, soc: Number) -> Number:

@@ -115,7 +115,6 @@ def size_of_pack(
     the statements are compared with; rested_V : voltage of the pack before its first load [V], if it is to show the
     kind of the cells (`high_voltage`). Raises UsageError when nobody states the capacity.
     """
-    typed = battery.battery
     guess = (guessed_cells, guessed_from)
     cells, cells_from, cells_notices = _cells(options, facts, guess, voltages, resting(battery))
     if cells_notices:  # PX4 works out its critical voltage from its count of cells
@@ -124,14 +123,12 @@ def size_of_pack(
         raise CapacityNotStated(why_not)
     facts, notices = possible_facts(facts, cells, voltages)
     capacity_Ah, capacity_from = _capacity(battery, options, facts)
-    (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, options, facts, cells)
-    doubts = [
-        ending_doubt("cut-off ", options.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
-        ending_doubt("low-voltage warning at ", options.low_V, cells, kind=Kind.LOW_VOLTAGE),
-    ]
+    (cutoff_V, cutoff_from), (low_V, low_from) = _endings(battery.battery, options, facts, cells)
+    doubts = _ending_doubts(options, cells, voltages)
     fullest_V = max(fullest_cell_V(rested_V, cells), options.fullest_cell_V)
+    doubtful = (*cells_notices, *notices, *likely(doubts))
     return PackSize(
-        battery=typed.name,
+        battery=battery.battery.name,
         status=battery.status,
         cells=cells,
         cells_from=cells_from,
@@ -142,13 +139,7 @@ def size_of_pack(
         low_V=low_V,
         low_from=low_from,
         uncertified=uncertified(battery, cells, capacity_Ah),
-        notices=(
-            *cells_notices,
-            *notices,
-            *likely(doubts),
-            *scaled_far(battery, cells, capacity_Ah),
-            *fuller(battery, fullest_V),
-        ),
+        notices=(*doubtful, *scaled_far(battery, cells, capacity_Ah), *fuller(battery, fullest_V)),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), None),
         fullest_cell_V=fullest_V,
     )
@@ -265,6 +256,14 @@ def _endings(
         (NAN, "nobody"),
     )
     return cutoff, low
+
+
+def _ending_doubts(options: PackOptions, cells: int, voltages: FirstVoltages) -> list[Doubt | None]:
+    """Return the doubts about the cut-off and the low-voltage warning that the caller states."""
+    return [
+        ending_doubt("cut-off ", options.cutoff_V, cells, voltages.rested_V, Kind.CUTOFF),
+        ending_doubt("low-voltage warning at ", options.low_V, cells, kind=Kind.LOW_VOLTAGE),
+    ]
 
 
 def _cells(

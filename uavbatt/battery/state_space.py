@@ -24,7 +24,7 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.pack import Installation, c_rate, grown_gain, metered_voltage, terminal_voltage
+from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 
 
@@ -95,15 +95,14 @@ class Unpacked(NamedTuple):
 
 def unpack(pack: Pack, x: Array) -> Unpacked:
     """Return the model's records for the columns of x, with the pack's scales applied."""
-    installation = pack.installation._replace(
-        capacity_Ah=pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY]),
-    )
-    cell = pack.cell._replace(
-        resistance_gain=grown_gain(pack.cell, installation) * np.exp(x[X.LOG_RESISTANCE]),
-        transfer_V=pack.cell.transfer_V + x[X.REACTION],
+    capacity_Ah = pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY])
+    cell = grown(pack.cell, pack.installation)
+    cell = cell._replace(
+        resistance_gain=cell.resistance_gain * np.exp(x[X.LOG_RESISTANCE]),
+        transfer_V=cell.transfer_V + x[X.REACTION],
     )
     state = State(x[X.SOC], x[X.POLARISATION], x[X.DIFFUSION], x[X.CORE], x[X.SENSOR])
-    return Unpacked(cell, installation, state)
+    return Unpacked(cell, pack.installation._replace(capacity_Ah=capacity_Ah), state)
 
 
 def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: float) -> Array:
@@ -133,9 +132,8 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
 
 def at_charge(table: Array, soc: Number) -> Number:
     """Return the value at a charge of a table over the model's grid of charges."""
-    position = (soc - model.LOWEST_SOC) / model.GRID_STEP
-    index = eq.segment(position, model.LAST_POSITION)
-    return eq.interpolated(table, index, model.held_position(position) - index)
+    index, share = eq.segment(soc, model.LOWEST_SOC, model.GRID_STEP, model.SEGMENTS)
+    return eq.interpolated(table, index, eq.held(share))
 
 
 def drift_variance(drift_sd_V: Number, drained: Number) -> Number:

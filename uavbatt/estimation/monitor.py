@@ -18,13 +18,7 @@ import numpy as np
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation.sensors import (
-    DEAD_S,
-    REFUSED_STUCK_S,
-    STUCK_S,
-    LoadWatch,
-    SensorChanges,
-)
+from uavbatt.estimation.sensors import DEAD_S, REFUSED_STUCK_S, STUCK_S, LoadWatch, SensorChanges
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
@@ -33,12 +27,8 @@ FAR_REACTION_V = 0.1  # per cell, in both directions: twice the value of a pack 
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S = 60.0, 5.0, 60.0
 SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # time that one value counts for: the first value, and one after a gap
 LARGEST_NIS = 25.0  # limit of a single row, so that one outlier does not count as a misfit of a minute
-SMALL_PACK, FAR_SMALLER, FAR_LARGER, SURE_SDS = (
-    0.9,
-    0.7,
-    1.25,
-    1.5,
-)  # shares of the stated capacity; sds
+SMALL_PACK, FAR_SMALLER, FAR_LARGER = 0.9, 0.7, 1.25  # shares of the stated capacity
+SURE_SDS = 1.5
 FAR_MORE_OHMS = 3.5  # times the resistance of a new pack of the stated size: packs in use reach three
 SETTLED_SHARE = 0.2  # largest sd of the capacity, relative: beyond, the time left is known to a factor of two
 
@@ -98,25 +88,37 @@ class Monitor(NamedTuple):
         if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.readings.time_s:
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        readings = self.readings.after(time_s, volts, amps, cells)
-        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
-        innovations, off_sds, reaction_V = self.innovations, self.off_sds, self.reaction_V
+        seen = self._replace(
+            readings=self.readings.after(time_s, volts, amps, cells),
+            load=self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah),
+        )
         if math.isfinite(estimate.nis):  # these change only when a block is closed
-            innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
-            reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
-        stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
-        stuck_current_s = readings.stuck_current_s(capacity_Ah)
+            seen = seen._replace(
+                innovations=self.innovations.after(time_s, estimate.nis),
+                off_sds=discrepancy_sds(belief, pack),
+                reaction_V=float(belief.weights @ belief.means[:, X.REACTION]),
+            )
+        return seen._concluded(estimate, cells, capacity_Ah)
+
+    def _concluded(self, estimate: Estimate, cells: float, capacity_Ah: float) -> Monitor:
+        """Return the monitor with the doubts, remarks and refusal that follow from what it has seen.
+
+        cells : in series; capacity_Ah : the present capacity of the pack [Ah].
+        """
+        time_s = self.readings.time_s
+        stuck_voltage_s = self.readings.stuck_voltage_s(cells, capacity_Ah)
+        stuck_current_s = self.readings.stuck_current_s(capacity_Ah)
         most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # upper limit of its capacity
         least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # lower limit of its resistance
         least = estimate.capacity_scale - SURE_SDS * estimate.capacity_scale_sd
         is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # more than wear can explain
         is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         is_settled = (is_small or is_ohmic) and is_known
-        is_far = abs(off_sds) > FAR_SDS or abs(reaction_V) > FAR_REACTION_V
+        is_far = abs(self.off_sds) > FAR_SDS or abs(self.reaction_V) > FAR_REACTION_V
         doubted = {
             STUCK_VOLTAGE: stuck_voltage_s >= STUCK_S,
             STUCK_CURRENT: stuck_current_s >= STUCK_S,
-            UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
+            UNFITTING: time_s - self.innovations.high_since_s >= NIS_AFTER_S,
             FAR_OFF: is_far,
             SMALL: is_small,
             LARGE: least > FAR_LARGER,
@@ -125,15 +127,17 @@ class Monitor(NamedTuple):
         refused = {
             STUCK_VOLTAGE: stuck_voltage_s >= REFUSED_STUCK_S,
             STUCK_CURRENT: stuck_current_s >= REFUSED_STUCK_S,
-            DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
-            FAR_OFF: off_sds < -LOST_SDS,  # too much voltage for the charge is harmless
+            DEAD_CURRENT: time_s - self.load.gone_since_s >= DEAD_S,
+            FAR_OFF: self.off_sds < -LOST_SDS,  # too much voltage for the charge is harmless
             SMALL: is_small and not is_settled,
             MANY_OHMS: is_ohmic and not is_settled,
         }
-        doubts = tuple(compress(doubted, doubted.values()))
-        refusal = next(compress(refused, refused.values()), "")
-        remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
-        return Monitor(readings, load, innovations, off_sds, reaction_V, is_settled, doubts, remarks, refusal)
+        return self._replace(
+            is_settled=is_settled,
+            doubts=tuple(compress(doubted, doubted.values())),
+            remarks=(SMALL,) if FAR_SMALLER <= most < SMALL_PACK else (),
+            refusal=next(compress(refused, refused.values()), ""),
+        )
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

@@ -164,13 +164,16 @@ def _innovations(pack: Pack, rows: Sequence[tuple[int, FilterState, float]]) -> 
     if not rows:
         return
     numbers, states, voltages_V = zip(*rows, strict=True)
-    x = np.array([state.belief.means for state in states])
-    weight = np.array([state.belief.weights for state in states])
-    drawn_As, current_A = np.array([(state.block.charge_As, state.current_A) for state in states]).T[..., None]
+    means, weights, charges_As, currents_A = zip(
+        *[(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states],
+        strict=True,
+    )
+    x, weight = np.array(means), np.array(weights)
+    drawn_As, current_A = np.array(charges_As)[:, None], np.array(currents_A)[:, None]
     x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
     expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
-    for k, voltage_V, volts_V, of_row, means in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
-        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ means[:, X.SOC]))
+    for k, voltage_V, volts_V, of_row, x_of_row in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
+        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC]))
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:

@@ -47,5 +47,6 @@ def limited_discharge(
             emf_V, r_ohmAh = model.source(cell, state)
             now_s += dt_s
         rate = limited_rate(emf_V, r_ohmAh, demand, limit_V) if until_s > 0.0 else np.zeros_like(demand)
-        out[0, k], out[1, k] = model.loaded_voltage(cell, emf_V, r_ohmAh, rate), state.sensor_C
+        under = model.UnderLoad(rate, model.transfer_drop(cell, rate))
+        out[0, k], out[1, k] = model.voltage_under(emf_V, r_ohmAh, under), state.sensor_C
     return out

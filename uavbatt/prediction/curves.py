@@ -23,7 +23,6 @@ def curve_tables(pack: Pack) -> Array:
 
 def looked_up(tables: Array, soc: Array) -> Array:
     """Return the values of the curves in `tables` (`curve_tables`) at a charge [batch], as [curve, batch]."""
-    position = (soc - (LOWEST_SOC - GRID_STEP)) / GRID_STEP
-    index = eq.segment(position, tables.shape[2])
+    index, share = eq.segment(soc, LOWEST_SOC - GRID_STEP, GRID_STEP, tables.shape[2])
     found = np.asarray(tables.take(index, axis=2))
-    return np.asarray(found[0] + found[1] * (position - index))
+    return np.asarray(found[0] + found[1] * share)

@@ -141,8 +141,10 @@ class Cleaner(NamedTuple):
             since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
             if not is_answered and time_s - since_s < ANSWER_WITHIN_S:
                 return self._replace(leapt_s=since_s, metered=True, guessed=False), self.current_A
-        now = self._replace(current_A=read_A, current_s=time_s, current_V=sample.voltage_V, leapt_s=NAN)
-        return now._replace(metered=True, guessed=False), read_A
+        now = self._replace(
+            current_A=read_A, current_s=time_s, current_V=sample.voltage_V, leapt_s=NAN, metered=True, guessed=False
+        )
+        return now, read_A
 
     def _with_level(self, sample: Sample) -> Cleaner:
         """Take the voltage into its level of the last seconds."""
