@@ -264,8 +264,11 @@ class Forecaster:
         power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        was_spool_up = not before.has_carried(rate / max(power_W, LOWEST_POWER_W))
-        if self._at_take_off is not None and self._flight.took_off_s > before.took_off_s and was_spool_up:
+        if (
+            self._at_take_off is not None
+            and self._flight.took_off_s > before.took_off_s
+            and not before.has_carried(rate / max(power_W, LOWEST_POWER_W))  # before it was spool-up
+        ):
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
