@@ -161,7 +161,7 @@ def test_a_pack_that_was_taken_out_is_no_longer_believed(open_V: float) -> None:
     assert said[-1][0].capacity_scale_sd == pytest.approx(fresh.capacity_scale_sd, rel=0.1)
 
 
-@pytest.mark.parametrize("broken_V", [0.2, 3.9])
+@pytest.mark.parametrize("broken_V", [0.2, 3.9, 4.4, 7.0, 9.9])
 def test_a_voltage_wire_that_breaks_in_flight_gives_no_number(broken_V: float) -> None:
     """Its input floats: the page said that no time was left, for half a minute, and then that the pack was small."""
     rows = flight(Pack())
@@ -177,3 +177,25 @@ def test_a_voltage_wire_that_is_loose_in_flight_begins_no_other_pack() -> None:
     sound, back = (list(generic_estimator(STATED).run(some)) for some in (rows[:300], loose[:300]))
     assert back[-1][0].soc == pytest.approx(sound[-1][0].soc, abs=0.03)
     assert back[-1][0].capacity_scale_sd == pytest.approx(sound[-1][0].capacity_scale_sd, rel=0.2)
+
+
+def seen_as(volts: float, amps: float) -> list[Sample]:
+    """The begin of a flight; from 200 s on, the sensors show these."""
+    return [replace(r, voltage_V=volts, current_A=amps) if r.time_s >= 200.0 else r for r in flight(Pack())[:300]]
+
+
+def test_a_voltage_that_falls_at_once_under_a_leap_of_the_current_is_believed() -> None:
+    """A short circuit, or a pack that breaks down at full throttle: no time is left within the 5 s of a cut-off."""
+    said = [remaining for _, remaining in generic_estimator(STATED).run(seen_as(9.0, 120.0)[:225])]
+    assert [remaining.remaining_s for remaining in said if remaining.time_s > 205.0] == [0.0] * 19
+
+
+@pytest.mark.parametrize("row_s", [1.0, 0.1])
+def test_a_pack_that_is_emptied_below_its_cells_is_believed(row_s: float) -> None:
+    """Within six seconds it falls from its cut-off to half of it."""
+    rows = list(flight(Pack()))
+    last = rows[-1]
+    fall = [last.voltage_V * (1.0 - 0.5 * k * row_s / 6.0) for k in range(1, round(6.0 / row_s) + 1)]
+    rows += [replace(last, time_s=last.time_s + row_s * k, voltage_V=volts) for k, volts in enumerate(fall, 1)]
+    said = [remaining for _, remaining in generic_estimator(STATED).run(rows)]
+    assert all(remaining.remaining_lo_s == 0.0 for remaining in said[-len(fall) :])

@@ -1,12 +1,14 @@
 """Cleaning of telemetry before the filter uses it; a `Cleaner` is a value that is replaced at each row.
 
 A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
-then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. A temperature that a
-cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is
-not used: with it the model would overflow. A current that leaps while the voltage stays where it was is not used for up
-to 2 s: it is a fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is
-late. A current that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power
-that the operator stated, or from a typical power, and the filter gives it a wide error.
+then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. The same holds in the
+air for a voltage that falls at once below 2.5 V a cell, by more than 1 V a cell, under an unchanged current: no
+discharge does that. It is used again from 2.5 V a cell on. A temperature that a cell cannot have, or that starts as hot
+as a circuit board, is not used. A current that no pack of the size can give is not used: with it the model would
+overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a fault of the
+sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current that is
+missing for up to 5 s is held. Without a current sensor the current is worked out from the power that the operator
+stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.limits import HIGHEST_C_RATE
+from uavbatt.limits import HIGHEST_C_RATE, LOWEST_CELL_V
 from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C, plausible_temperature_C
 
@@ -28,6 +30,7 @@ ABSENT_S = 5.0  # without a current for so long from the start: there is no sens
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
+BROKEN_FALL_V = 1.0  # a cell that falls by so much between two rows, under the same current, has lost its meter
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -38,6 +41,8 @@ class Cleaner(NamedTuple):
     stated_power_W: float = NAN
     voltage_V: float = NAN
     voltage_s: float = NAN
+    voltage_A: float = NAN  # the current with that voltage
+    is_broken: bool = False  # the wire of the voltmeter is broken
     odd_V: float = NAN  # last voltage, if it leapt: used if the next row repeats it
     temp_C: float = NAN
     temp_s: float = NAN
@@ -67,7 +72,7 @@ class Cleaner(NamedTuple):
         """
         if not abs(sample.time_s) < LATEST_S:
             return self, Sample(NAN, NAN)  # the time is not known
-        now, sample = self._with_voltage(sample, cells * CONNECTED_CELL_V)
+        now, sample = self._with_voltage(sample, cells, LEAP_C * capacity_Ah)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample, assumed_power_W, capacity_Ah)
         now = now._with_level(sample)
@@ -91,20 +96,32 @@ class Cleaner(NamedTuple):
             spread_s=self.spread_s + shift_s,
         )
 
-    def _with_voltage(self, sample: Sample, connected_V: float) -> tuple[Cleaner, Sample]:
+    def _with_voltage(self, sample: Sample, cells: int, leap_A: float) -> tuple[Cleaner, Sample]:
         """Take the voltage in. A sudden change is used from its second row on, as one row may be a damaged frame.
 
-        connected_V : below it the meter of a pack that has shown more is not connected [V].
+        cells : in series, 0 while unknown; leap_A : a rise of the current [A] that may explain a fall of the voltage.
         """
-        if not math.isfinite(sample.voltage_V):
+        volts, unused = sample.voltage_V, replace(sample, voltage_V=NAN, cell_voltages_V=())
+        if not math.isfinite(volts):
             return self, sample
-        if sample.voltage_V <= 0.0 or sample.voltage_V < connected_V <= self.voltage_V:
-            return self, replace(sample, voltage_V=NAN, cell_voltages_V=())
+        if volts <= 0.0 or volts < cells * CONNECTED_CELL_V <= self.voltage_V:
+            return self, unused
+        if self._is_broken_by(sample, cells, leap_A):
+            return self._replace(is_broken=True), unused
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
-        is_repeated = abs(sample.voltage_V - self.odd_V) <= LEAP_SHARE * self.odd_V
-        if is_soon and not is_repeated and not abs(sample.voltage_V - self.voltage_V) <= LEAP_SHARE * self.voltage_V:
-            return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
-        return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
+        is_repeated = abs(volts - self.odd_V) <= LEAP_SHARE * self.odd_V
+        if is_soon and not is_repeated and not abs(volts - self.voltage_V) <= LEAP_SHARE * self.voltage_V:
+            return self._replace(odd_V=volts), unused
+        now = self._replace(voltage_V=volts, voltage_s=sample.time_s, voltage_A=sample.current_A)
+        return now._replace(odd_V=NAN, is_broken=False), sample
+
+    def _is_broken_by(self, sample: Sample, cells: int, leap_A: float) -> bool:
+        """Return True if the wire of the voltmeter has broken in the air, or is broken still; parameters as above."""
+        if sample.armed is False or sample.voltage_V >= cells * LOWEST_CELL_V:
+            return False
+        is_at_once = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
+        is_deep = self.voltage_V - sample.voltage_V > cells * BROKEN_FALL_V
+        return self.is_broken or (is_at_once and is_deep and not sample.current_A - self.voltage_A > leap_A)
 
     def _with_temperature(self, sample: Sample) -> tuple[Cleaner, float]:
         """Take the temperature in; returns it [°C], NaN where it is not a cell's."""
