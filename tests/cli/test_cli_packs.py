@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import time
 from functools import partial
 
 import pytest
@@ -116,3 +117,12 @@ def test_replay_remembers_a_flight_once(run, tmp_path):
     assert json.loads((tmp_path / "s.json").read_text("utf-8"))["pack_flights"] == 1
     nameless = run("replay", log, *battery, "--packs", packs)
     assert "not remembered: no serial in the log" in nameless.stdout
+
+
+def test_a_flight_dated_in_the_future_is_said(run, tmp_path):
+    path = tmp_path / "packs.sqlite"
+    with Ledger(path) as opened:
+        opened.save_all("A", [flight(0), flight(1, start_utc_s=time.time() + 9e6)])
+    said = run("packs", path, "--pack", "A").stdout.splitlines()
+    assert "its last flight is dated" in said[1] and "in the future" in said[1]
+    assert ["in the future" in line for line in said[2:]] == [False, True]

@@ -160,3 +160,17 @@ def test_packed_logs_are_flown_as_they_are(tmp_path: Path) -> None:
         }
     assert found["c.csv.gz"]["reason"].startswith("expected a whole gzip or zip file")
     assert found["e.zip"]["reason"].startswith("expected an archive of one log, found 2 files")
+
+
+def test_a_log_that_lost_a_share_of_its_bytes_needs_a_look(short_log: Path, tmp_path: Path) -> None:
+    """A hole in the middle of a flight looked like a good log; the cut end of one harms nothing."""
+    whole, middle = short_log.read_bytes(), short_log.stat().st_size // 2
+    hole = len(whole) // 20
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/hole.tlog").write_bytes(whole[:middle] + b"\xff" * hole + whole[middle + hole :])
+    (tmp_path / "logs/packed.tlog.gz").write_bytes(gzip.compress(whole[:middle] + b"\xff" * hole + whole[middle:]))
+    (tmp_path / "logs/cut.tlog").write_bytes(whole[: middle + 3])
+    assert fleet(tmp_path).returncode == 0
+    looks = {Path(row["file"]).name: row["look"] for row in table(tmp_path)}
+    assert all("5% of the log could not be read" in looks[name] for name in ("hole.tlog", "packed.tlog.gz"))
+    assert "could not be read" not in looks["cut.tlog"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sqlite3
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 from uavbatt.battery.scaling import Pack
 from uavbatt.fleet import run
 from uavbatt.fleet.errand import Errand
+from uavbatt.packs.ledger import Ledger
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
@@ -193,3 +195,21 @@ def test_two_logs_of_one_flight_are_said_to_be_one(tmp_path: Path) -> None:
     for name, part, late_s in (("whole", flown, 0), ("part", flown[:100], 60)):
         write_tlog(tmp_path / f"logs/{name}.tlog", part, parameters, epoch_us=FIRST_US + late_s * 1_000_000)
     assert "1 flight in out.sqlite, which remembers 1 pack;" in fleet(tmp_path, "out").stdout
+
+
+def test_a_log_of_the_future_is_said_and_is_not_the_last_of_its_pack(logs: Path, tmp_path: Path) -> None:
+    """Its date stood as that of the pack's last flight, before which no other one came any more."""
+    (tmp_path / "logs").mkdir()
+    in_a_year = round((time.time() * 1e6 - FIRST_US) / DAY_US) + 365
+    for name, day in (("now.tlog", 1), ("wrong.tlog", in_a_year)):
+        write(tmp_path / "logs", name, 7, day)
+    arguments = ("--packs", "p.sqlite", "--workers", "1")
+    assert called("fleet", "logs", "-o", "out", *arguments, folder=tmp_path).returncode == 0
+    with (tmp_path / "out/flights.csv").open(newline="", encoding="utf-8") as stream:
+        looks = {Path(row["file"]).name: row["look"] for row in csv.DictReader(stream)}
+    assert "in the future: the clock of the log is wrong" in looks["wrong.tlog"]
+    assert "future" not in looks["now.tlog"]
+    replayed = called("replay", "logs/wrong.tlog", "--packs", "p.sqlite", folder=tmp_path)
+    assert "nothing learned: dated 2" in replayed.stdout and "in the future" in replayed.stdout
+    with Ledger(tmp_path / "p.sqlite") as ledger:
+        assert [one.flight.source for one in ledger.flights("7")] == ["now.tlog"]

@@ -216,7 +216,7 @@ def test_two_vehicles_one_after_the_other_may_fly_packs_of_one_stated_name(tmp_p
 @pytest.fixture
 def locked(tmp_path, monkeypatch):
     """The ledger while another program writes for longer than anybody waits; it ends when it is called."""
-    monkeypatch.setattr("uavbatt.packs.ledger.PATIENCE_S", 0.05)
+    monkeypatch.setattr("uavbatt.packs.opening.PATIENCE_S", 0.05)
     Ledger(tmp_path / "packs.sqlite").close()
     other = sqlite3.connect(tmp_path / "packs.sqlite", isolation_level=None)
     yield lambda: other.execute("BEGIN IMMEDIATE"), lambda: other.execute("ROLLBACK")

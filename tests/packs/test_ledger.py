@@ -334,3 +334,14 @@ def test_a_kill_at_any_moment_loses_nothing_that_was_said_to_be_saved(tmp_path):
             assert len(found) <= last + 2  # saved, and killed before it could say so
             assert ledger.pack("A").outlook.flights == len(found)
             last = len(found) - 1
+
+
+def test_a_flight_of_the_future_that_a_ledger_holds_is_not_the_last(tmp_path):
+    """Until its date has come. A clock that is not known makes no flight one of the future."""
+    yesterday_s = FLIGHTS[1].start_utc_s + 86_400.0
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", FLIGHTS)
+        assert ledger.last("A", yesterday_s).flight.key == FLIGHTS[1].key
+        assert ledger.last("A", FLIGHTS[3].start_utc_s).flight.key == FLIGHTS[3].key
+        assert ledger.last("A", math.nan).flight.key == FLIGHTS[3].key
+        assert ledger.last("A", FLIGHTS[0].start_utc_s - 1e6) is None

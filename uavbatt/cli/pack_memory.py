@@ -50,10 +50,11 @@ class PackMemory:
             return None
         if not self.stated:
             raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
-        last = self.ledger.last(self.stated)
+        now_utc_s = time.time()
+        last = self.ledger.last(self.stated, now_utc_s)
         if last is None:
             raise unknown_pack(self.ledger, self.stated)
-        return prior(last, time.time(), battery.certificate.content_sha256)
+        return prior(last, now_utc_s, battery.certificate.content_sha256)
 
     def learn(
         self, flight: Flight, battery: BatteryFile, options: PackOptions, health: PackHealth | None
@@ -69,7 +70,7 @@ class PackMemory:
         if not name:
             words = "  pack       not remembered: no serial in the log; name it with --pack"
             return LearnedFlight((words,), {"pack": None})
-        found = flight_for_ledger(battery, options, flight, health)
+        found = flight_for_ledger(battery, options, flight, health, time.time())
         if found.record is None:
             return LearnedFlight((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -91,7 +92,9 @@ def _lines(found: list[PackRow], flights: list[LedgerFlight]) -> list[str]:
         return [
             "no packs are remembered yet: `uavbatt replay LOG... --packs FILE` and `uavbatt live --packs FILE` do it"
         ]
-    return [line for pack in found for line in pack_lines(pack)] + [flight_line(after) for after in flights]
+    now_utc_s = time.time()
+    lines = [line for pack in found for line in pack_lines(pack, now_utc_s)]
+    return lines + [flight_line(after, now_utc_s) for after in flights]
 
 
 def _write_summary(path: Path, found: list[PackRow], flights: list[LedgerFlight]) -> None:

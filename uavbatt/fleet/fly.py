@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import PurePath
@@ -20,16 +21,18 @@ from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
+from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.telemetry.formats.packed import as_log
+from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.quality.drawn import drawn
 from uavbatt.telemetry.quality.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
+MUCH_LOST = 0.01  # share of a log's bytes: more than a record that is cut
 EMPTY_SOC = 0.05  # a landing with less has worn the cells
 LANDING_S = 30.0  # a descent from 50 m, begun at the cut-off
 OPTIMISTIC_S = 60.0  # half of the two minutes that were left
@@ -67,7 +70,8 @@ NOT_MET = RememberedPack()
 def fly_log(log: LogFile, job: Job, met: RememberedPack = NOT_MET) -> FlightRow:
     """Return the row of one log; no content of the log makes it raise an error."""
     try:
-        return _flown(read(log, job), log, job, met)
+        name, data = as_log(log.name, log.read())
+        return _flown(read_data(name, data, job), len(data), log, job, met)
     except Unreadable as error:
         return bad_row(log, job, _reason(error, log), LOST)
     except UavbattError as error:
@@ -90,7 +94,11 @@ def read(log: LogFile, job: Job) -> Flight:
 
     Raises BadInput if it is no log, Unreadable if its bytes cannot be read.
     """
-    name, data = as_log(log.name, log.read())
+    return read_data(*as_log(log.name, log.read()), job)
+
+
+def read_data(name: str, data: Content, job: Job) -> Flight:
+    """Read the flight of a log's bytes, as the job asks for it. Raises BadInput if it is no log."""
     return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)
 
 
@@ -105,7 +113,8 @@ def lost_row(log: LogFile, reason: str, job: Job) -> FlightRow:
     return bad_row(log, job, reason, LOST)
 
 
-def _flown(flight: Flight, log: LogFile, job: Job, met: RememberedPack) -> FlightRow:
+def _flown(flight: Flight, size_bytes: int, log: LogFile, job: Job, met: RememberedPack) -> FlightRow:
+    """Return the row of a flight, whose log has `size_bytes` unpacked."""
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
     estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, met.health)
@@ -122,7 +131,8 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: RememberedPack) -> Fligh
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), ending)
-    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
+    doubts = _doubts_of_log(flight, size_bytes, time.time())
+    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons), *doubts]))
 
 
 def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
@@ -208,6 +218,16 @@ def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
     if row.trust == "no":
         reasons.append("not to be trusted: " + (doubts[0] if doubts else "see `uavbatt info`"))
     return reasons
+
+
+def _doubts_of_log(flight: Flight, size_bytes: int, now_utc_s: float) -> list[str]:
+    """Return what is wrong with a log itself: bytes that could not be read, a date in the future.
+
+    size_bytes : of the log, unpacked; now_utc_s : the time now [s since 1970]
+    """
+    lost, start_utc_s = flight.skipped_bytes / size_bytes, flight.identity.start_utc_s
+    found = [f"{lost:.0%} of the log could not be read"] if lost > MUCH_LOST else []
+    return [*found, future_words(start_utc_s)] if is_in_future(start_utc_s, now_utc_s) else found
 
 
 def _aircraft(log: LogFile, job: Job, system: int | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -68,7 +69,8 @@ def learn(log: LogFile, job: Job) -> Lesson:
     try:
         flight = read(log, job)
         name = name_of(flight)
-        record = flight_for_ledger(job.battery, job.options, flight).record if name else None
+        now_utc_s = time.time()
+        record = flight_for_ledger(job.battery, job.options, flight, now_utc_s=now_utc_s).record if name else None
     except Unreadable as error:
         return no_lesson(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it

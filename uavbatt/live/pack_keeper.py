@@ -207,8 +207,9 @@ class PackKeeper:
         return health
 
     def _health_of(self, name: str, now_s: float) -> PackHealth | None:
-        last = self._ledger.last(name)
-        return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
+        now_utc_s = self._utc_s(now_s)
+        last = self._ledger.last(name, now_utc_s)
+        return prior(last, now_utc_s, self._battery.certificate.content_sha256) if last is not None else None
 
     def _learn_unless_grown(self, was: UnfinishedFlight) -> None:
         """Save the flight of an earlier process, or wait longer if it has new rows or its number is reused."""

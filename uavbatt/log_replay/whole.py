@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -205,7 +206,7 @@ def _remember(
 ) -> None:
     """Save the record of the flight in the ledger, if its pack has a name; `health` is that before the flight."""
     name = name_of(flight, pack)
-    found = flight_for_ledger(content, options, flight, health).record if name else None
+    found = flight_for_ledger(content, options, flight, health, time.time()).record if name else None
     if found is not None:
         with Ledger(packs) as ledger:
             ledger.save(name, found)

@@ -7,7 +7,6 @@ slow filter always runs over all flights of a pack in order of time, so that the
 from __future__ import annotations
 
 import math
-import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,16 +16,15 @@ from types import TracebackType
 
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
-from uavbatt.files import no_file
 from uavbatt.packs import ageing, rows, schema
+from uavbatt.packs.dates import CLOCKS_APART_S
+from uavbatt.packs.opening import BROKEN, open_file, words_of
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
 
-PATIENCE_S = 10.0  # longest wait for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
-_BROKEN = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second for a text, in a row or an error, that is damaged
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
 # An earlier log of the same flight does not count; without a clock, all flights count that were saved before.
 BEFORE = f"""
@@ -54,7 +52,7 @@ class Ledger:
 
     def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
         self.path = Path(path)
-        self._connection = _open(self.path, only_read)
+        self._connection = open_file(self.path, only_read)
         try:
             with self._named_errors():
                 now = schema.check_schema(self._connection, self.path)
@@ -84,8 +82,8 @@ class Ledger:
             yield
         except rows.DamagedRow as error:
             raise BadInput(self.path, "", f"a pack ledger whose rows are whole, found {error}") from None
-        except _BROKEN as error:
-            raise BadInput(self.path, "", _words(error)) from None
+        except BROKEN as error:
+            raise BadInput(self.path, "", words_of(error)) from None
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
@@ -123,9 +121,13 @@ class Ledger:
             found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
-    def last(self, name: str) -> LedgerFlight | None:
-        """Return the last flight of a pack with the belief after it; None without one."""
-        return self._one(f"{OF_PACK} {LATEST}", {"name": name})
+    def last(self, name: str, now_utc_s: float = math.inf) -> LedgerFlight | None:
+        """Return the last flight of a pack with the belief after it; None without one.
+
+        now_utc_s : the time now [s since 1970]; flights dated in the future do not count. NaN is unknown.
+        """
+        latest = now_utc_s + CLOCKS_APART_S
+        return self._one(f"{OF_PACK} AND ifnull(start_utc_s <= :latest, 1) {LATEST}", {"name": name, "latest": latest})
 
     def before(self, name: str, start_utc_s: float, key: str) -> LedgerFlight | None:
         """Return the last flight of a pack before the flight with that key and start.
@@ -180,47 +182,6 @@ def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHe
     days = ageing.days_between(last.flight, start_utc_s)
     health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
     return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
-
-
-def _open(path: Path, only_read: bool) -> sqlite3.Connection:
-    if only_read and not path.exists():
-        raise BadInput(path, "", "a pack ledger, found no such file")
-    if found := no_file(path):
-        raise BadInput(path, "", f"a pack ledger, found {found}")
-    if not path.parent.is_dir():
-        raise BadInput(path, "", "an existing folder to keep the pack ledger in")
-    try:
-        mode = ("ro&immutable=1" if _is_on_read_only(path) else "ro") if only_read else "rwc"
-        connection = sqlite3.connect(
-            f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=PATIENCE_S, isolation_level=None,
-            check_same_thread=False,
-        )  # fmt: skip
-        connection.row_factory = sqlite3.Row
-        if not only_read:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = FULL")  # a commit is on the disk
-        connection.execute("PRAGMA foreign_keys = ON")
-    except _BROKEN as error:
-        raise BadInput(path, "", _words(error)) from None
-    return connection
-
-
-def _is_on_read_only(path: Path) -> bool:
-    """Return True for a ledger that nobody can be writing: SQLite must not look for a lock that it cannot make."""
-    whole = path.resolve()
-    wal = whole.with_name(f"{whole.name}-wal")
-    return not os.access(whole.parent, os.W_OK) and not (wal.exists() and wal.stat().st_size > 0)
-
-
-def _words(error: Exception) -> str:
-    text = "text that is no text" if isinstance(error, UnicodeDecodeError) else str(error)
-    if "locked" in text:
-        return f"a pack ledger that nobody else writes for {PATIENCE_S:.0f} s, found it locked"
-    if "full" in text:
-        return "room on the disk for the pack ledger, found it full: nothing was changed"
-    if "not a database" in text:
-        return "a pack ledger, found a file of another kind"
-    return f"a pack ledger that can be read and written, SQLite says: {text}"
 
 
 def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Sequence[FlightRecord]) -> int:

@@ -21,6 +21,7 @@ from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import size_from_rows
 from uavbatt.estimator import Estimator
+from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.packs.evidence import evidence_of_flight
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.records import FlightEvidence, FlightRecord
@@ -63,12 +64,19 @@ def key_of(samples: Sequence[Sample]) -> str:
 
 
 def flight_for_ledger(
-    battery: BatteryFile, options: PackOptions, flight: Flight, before: PackHealth | None = None
+    battery: BatteryFile,
+    options: PackOptions,
+    flight: Flight,
+    before: PackHealth | None = None,
+    now_utc_s: float = NAN,
 ) -> FlightForLedger:
     """Return the record of a flight for the ledger, or the reason why the flight shows nothing of its pack.
 
     before : health of the pack in the ledger. Only the kind of its cells is used: one flight may not show it.
+    now_utc_s : the time now [s since 1970]: a flight of the future would stay the last one; NaN is unknown
     """
+    if is_in_future(flight.identity.start_utc_s, now_utc_s):
+        return FlightForLedger(None, future_words(flight.identity.start_utc_s))
     options, rows = of_known_cells(options, before), _metered(flight)
     last_loaded = _last_loaded(rows)
     if last_loaded is None:

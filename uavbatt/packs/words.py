@@ -6,6 +6,7 @@ import math
 from datetime import UTC, datetime
 
 from uavbatt.packs.bounds import LATEST_UTC_S
+from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT
 from uavbatt.packs.records import LedgerFlight, Outlook, PackRow
 
@@ -33,8 +34,8 @@ def trend_words(trend: float, sd: float) -> str:
     return "steady" if INTERVAL_SD * sd < STEADY else "trend not known yet"
 
 
-def pack_lines(pack: PackRow) -> list[str]:
-    """Return one line about a pack, and one for each finding."""
+def pack_lines(pack: PackRow, now_utc_s: float) -> list[str]:
+    """Return one line about a pack, and one for each finding; now_utc_s : the time now [s since 1970]."""
     seen = pack.outlook
     charge = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
     ohm = f"{1000.0 * seen.resistance_ohm:.1f} mohm a cell ({seen.resistance_ohm / pack.type_ohm:.0%} of its type)"
@@ -43,17 +44,23 @@ def pack_lines(pack: PackRow) -> list[str]:
         f"{pack.name:<16}  {seen.capacity_Ah / pack.rated_Ah:4.0%} of {pack.rated_Ah:g} Ah: {charge}; {ohm}; "
         f"{seen.flights} flight{'s' * (seen.flights != 1)}; charge {trend}; {retire_words(seen)}"
     )
-    return [line, *(f"{'':<16}  {finding.words}" for finding in pack.findings)]
+    said = [finding.words for finding in pack.findings]
+    if is_in_future(pack.last_utc_s, now_utc_s):
+        said.append(f"its last flight is {future_words(pack.last_utc_s)}: it counts from that date on")
+    return [line, *(f"{'':<16}  {words}" for words in said)]
 
 
-def flight_line(after: LedgerFlight) -> str:
-    """Return one line about a flight: its own evidence, and the belief after it."""
+def flight_line(after: LedgerFlight, now_utc_s: float) -> str:
+    """Return one line about a flight: its own evidence, and the belief after it; now_utc_s : the time now [s]."""
     flight, mean = after.flight, after.known.mean
+    said = [finding.words for finding in after.findings]
     has_date = 0.0 < flight.start_utc_s <= LATEST_UTC_S
+    if has_date and is_in_future(flight.start_utc_s, now_utc_s):
+        said.append(future_words(flight.start_utc_s))
     when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if has_date else ""
     told = f"this flight {math.exp(flight.told.log_Ah):.2f} Ah, {1000.0 * math.exp(flight.told.log_ohm):.1f} mohm"
     known = f"all so far {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
-    words = "; ".join(finding.words for finding in after.findings)
+    words = "; ".join(said)
     temp = f"{flight.temp_mean_C:.0f} °C" if math.isfinite(flight.temp_mean_C) else "no temperature"
     soc = f"charge {flight.soc_start:.2f} to {flight.soc_end:.2f}"
     line = f"  {when or 'no date':<16}  {flight.source}: {soc}, {temp}; {told}; {known}"
