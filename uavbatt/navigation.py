@@ -161,6 +161,7 @@ class Navigation:
     mode_since_s: float = NAN
     mission: Mission | None = None
     mission_since_s: float = NAN
+    items_told: int = 0  # how many items the autopilot says that its mission has; 0 is unknown
     current: int | None = None  # seq of the item that is flown to (MISSION_CURRENT)
     current_since_s: float = NAN  # time since which it is this item
     current_heard_s: float = NAN  # last time that the autopilot said so: silence makes progress stale

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from route_rig import HOME, SETTINGS
 
 from uavbatt.errors import BadInput
@@ -17,6 +18,7 @@ from uavbatt.prediction.route_path import path
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Flight
 from uavbatt.telemetry.formats.mission_file import read_mission
+from uavbatt.telemetry.route.messages import NavigationListener
 
 WAYPOINTS = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t420\t1
@@ -135,3 +137,35 @@ def test_what_is_wrong_stands_in_one_line(tmp_path: Path, text: str, words: str)
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="No such file"):
         read_mission(tmp_path / "none.plan")
+
+
+def on_px4(folder: Path, *said: Any) -> Navigation:
+    """What is known of a flight with `WAYPOINTS` on a PX4 that has said these messages."""
+    listener = NavigationListener()
+    for message in (dialect.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3), *said):
+        listener.take(1.0, message.get_msgId(), message)
+    return read_mission(written(folder, WAYPOINTS)).flown(listener.now)
+
+
+@pytest.mark.parametrize(("total", "first_to"), [(6, 1), (7, 2)])
+@pytest.mark.parametrize("by", ["current", "count"])
+def test_a_px4_tells_whether_it_counts_the_home_of_a_file(tmp_path: Path, total: int, first_to: int, by: str) -> None:
+    """Some programs upload home as an item, some leave it out: the route was one item off."""
+    told = {
+        "current": dialect.MAVLink_mission_current_message(first_to, total, 0),
+        "count": dialect.MAVLink_mission_count_message(255, 190, total, 0),
+    }
+    known = on_px4(tmp_path, told[by])
+    assert known.mission is not None and not known.mission.reason
+    assert not path(known.mission, HOME, SETTINGS).reason
+    place = known.mission.items[first_to]
+    assert (place.seq, place.action, place.lat_deg) == (first_to, Action.WAYPOINT, 47.001)
+    jump = next(item for item in known.mission.items if item.action is Action.JUMP)
+    assert known.mission.items[jump.jump_to] is place
+
+
+@pytest.mark.parametrize("total", [0, 0xFFFF, 3, 9])
+def test_a_px4_that_does_not_tell_flies_an_unknown_route(tmp_path: Path, total: int) -> None:
+    known = on_px4(tmp_path, dialect.MAVLink_mission_current_message(1, total, 0))
+    assert known.mission is not None
+    assert "a PX4 holds 6 or 7 of them" in path(known.mission, HOME, SETTINGS).reason

@@ -24,7 +24,7 @@ ROUTE = mission(
     ],
     "link",
 )
-FIELDS = ("mode", "mission", "current", "reached", "home", "position", "wind", "landed", "transferring")
+FIELDS = ("mode", "mission", "current", "reached", "home", "position", "wind", "landed", "transferring", "items_told")
 
 
 def heard(path: Path) -> tuple[Navigation, ...]:

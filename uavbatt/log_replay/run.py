@@ -78,8 +78,7 @@ def recorded_period_s(flight: Flight) -> float:
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     """Return the flight with the mission of a file instead of the log's own."""
-    flown = (known.with_plan(planned.mission_on(known.settings.is_px4), planned.home) for known in flight.navigation)
-    return replace(flight, navigation=tuple(flown))
+    return replace(flight, navigation=tuple(planned.flown(known) for known in flight.navigation))
 
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:

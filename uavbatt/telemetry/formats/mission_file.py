@@ -8,6 +8,9 @@
 and corridor scans hold the items they were made into (`TransectStyleComplexItem.Items`), other patterns do not.
 The ground station puts home in front as item 0 for an ArduPilot, and not for a PX4; `doJumpId` names items for jumps.
 It uploads `rallyPoints` with the mission, and the vehicle may then return to one of them.
+
+Of a `.waypoints` file with home in front, some programs upload all items to a PX4, others leave home out. The number of
+items that the PX4 says it holds tells which; without it the route is not known.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import msgspec
 
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import read_bounded
-from uavbatt.navigation import NAN, Home, Mission
+from uavbatt.navigation import NAN, Home, Mission, Navigation
 from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.commands import Fields
 
@@ -37,20 +40,36 @@ _GLOBAL = 0  # MAV_FRAME: height above sea
 class PlannedFlight(NamedTuple):
     """A PlannedFlight holds a file's mission, and what it says of home and of the speed it was planned with [m/s].
 
-    for_other : the mission as the ground station uploads it to the other make of autopilot, which counts items
-    differently; None if the file does not tell
+    for_other : the missions that the other make of autopilot may hold, which counts items differently: without several
+    it is the first, else that of the length which the autopilot tells; empty if the file does not tell
     """
 
     mission: Mission
     home: Home | None
     cruise_ms: float = NAN
-    for_other: Mission | None = None
+    for_other: tuple[Mission, ...] = ()
 
-    def mission_on(self, is_px4: bool) -> Mission:
-        """Return the mission with its items numbered as this autopilot (PX4 or ArduPilot) counts them."""
-        if self.for_other is None or self.mission.has_home_item is not is_px4:
+    def mission_on(self, is_px4: bool, items_told: int = 0) -> Mission:
+        """Return the mission with its items numbered as this autopilot (PX4 or ArduPilot) counts them.
+
+        items_told : how many items the autopilot says that it holds; 0 is unknown. The mission has a reason if it is
+        needed and fits none.
+        """
+        if not self.for_other or self.mission.has_home_item is not is_px4:
             return self.mission
-        return self.for_other
+        if len(self.for_other) == 1:
+            return self.for_other[0]
+        held = next((mission for mission in self.for_other if len(mission.items) == items_told), None)
+        if held is not None:
+            return held
+        said = f"the autopilot says {items_told}" if items_told else "the autopilot does not say how many it holds"
+        expected = " or ".join(str(len(mission.items)) for mission in self.for_other)
+        reason = f"home is the first of the file's items, a PX4 holds {expected} of them, {said}: use a .plan"
+        return dataclasses.replace(self.mission, reason=reason)
+
+    def flown(self, known: Navigation) -> Navigation:
+        """Return what is known of route and place with this mission."""
+        return known.with_plan(self.mission_on(known.settings.is_px4, known.items_told), self.home)
 
 
 class _Transects(msgspec.Struct):
@@ -105,7 +124,18 @@ def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
     has_home = bool(said) and said[0].command == commands.WAYPOINT
     home = Home(said[0].lat_deg, said[0].lon_deg, _sea_m(said[0])) if has_home else None
     mission = _mission(path, said, has_home, is_px4=not has_home)
-    return PlannedFlight(mission, home if home and (home.lat_deg or home.lon_deg) else None)
+    place = home if home and (home.lat_deg or home.lon_deg) else None
+    on_px4 = (_without_first(path, said), _mission(path, said, False, is_px4=True)) if has_home else ()
+    return PlannedFlight(mission, place, for_other=on_px4)
+
+
+def _without_first(path: str | Path, said: Sequence[Fields]) -> Mission:
+    """Return the mission as a PX4 holds it if home, the first item, is left out; jumps keep their targets."""
+    fields = [
+        one._replace(seq=one.seq - 1, param1=one.param1 - 1.0 if one.command == commands.JUMP else one.param1)
+        for one in said[1:]
+    ]
+    return _mission(path, fields, has_home_item=False, is_px4=True)
 
 
 def _sea_m(fields: Fields) -> float:
@@ -135,7 +165,7 @@ def _plan(path: str | Path, data: bytes) -> PlannedFlight:
     place = [NAN if v is None else v for v in said.home or ()]
     home = Home(place[0], place[1], place[2] if len(place) > 2 else NAN) if len(place) > 1 else None
     mission, for_other = (_uploaded(path, plan, home, is_px4, has_home) for has_home in (not is_px4, is_px4))
-    return PlannedFlight(mission, home, said.hover_ms or NAN, for_other)
+    return PlannedFlight(mission, home, said.hover_ms or NAN, (for_other,))
 
 
 def _uploaded(path: str | Path, plan: _Plan, home: Home | None, is_px4: bool, has_home_item: bool) -> Mission:

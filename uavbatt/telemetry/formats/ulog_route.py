@@ -3,7 +3,7 @@
 A ULog names the present item of a mission, never the whole of it: the route comes from a mission file.
 
     vehicle_status          nav_state: the mode
-    mission_result          seq_current, seq_reached
+    mission_result          seq_total, seq_current, seq_reached
     home_position           lat, lon, alt (above sea)
     vehicle_global_position lat, lon, alt (above sea): height counts from home's
     vehicle_local_position  vx, vy, vz: north, east, down
@@ -54,6 +54,8 @@ def _events(name: str, data: Any, topics: dict[str, Any], ulog: Any, builder: Na
         yield from _modes(time_s, data, builder)
     elif name == "mission_result":
         for t, total, current, reached in _rows(time_s, data, "seq_total", "seq_current", "seq_reached"):
+            if total > 0:
+                yield t, builder.items_told, (int(total),)
             if total > 0 and current >= 0:
                 yield t, builder.current, (int(current),)
             if total > 0 and reached >= 0:

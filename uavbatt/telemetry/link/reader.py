@@ -101,9 +101,7 @@ class LiveReader:
         """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
         vehicle = self.followed
         known = vehicle.route.now if vehicle is not None else NOWHERE
-        if self.planned is None:
-            return known
-        return known.with_plan(self.planned.mission_on(known.settings.is_px4), self.planned.home)
+        return known if self.planned is None else self.planned.flown(known)
 
     @property
     def parameters(self) -> Mapping[str, float]:

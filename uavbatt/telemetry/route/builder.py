@@ -54,10 +54,16 @@ class NavigationBuilder:
 
     def mission(self, time_s: float, mission: Mission) -> None:
         """Take a complete mission; if it is the same as before, only its transfer ends."""
+        self.items_told(time_s, len(mission.items))
         if not _is_same(mission, self._known["mission"]):
             self._change(time_s, mission=mission, mission_since_s=time_s, transferring=False)
         else:
             self.transferring(time_s, False)
+
+    def items_told(self, time_s: float, count: int) -> None:
+        """Take the number of items that the autopilot says its mission has."""
+        if count != self._known["items_told"]:
+            self._change(time_s, items_told=count)
 
     def transferring(self, time_s: float, is_so: bool) -> None:
         """Note if a mission is being transferred and is not complete yet."""

@@ -99,6 +99,8 @@ class NavigationListener:
             return
         if message_id == MISSION_COUNT:
             self.transfer.begins(time_s, message.count, is_upload)
+            if not is_upload:
+                self.builder.items_told(time_s, message.count)
         elif message_id == MISSION_CLEAR_ALL:
             self.transfer.clears(time_s)
         elif message_id == MISSION_WRITE_PARTIAL_LIST:
@@ -147,7 +149,10 @@ class NavigationListener:
         self.builder.mode(time_s, mode_of(message))
 
     def _current(self, time_s: float, message: Any) -> None:
-        self._doubt(time_s, getattr(message, "total", 0), getattr(message, "mission_id", 0) or 0)
+        total = getattr(message, "total", 0)
+        self._doubt(time_s, total, getattr(message, "mission_id", 0) or 0)
+        if total not in _NO_TOTAL:
+            self.builder.items_told(time_s, total)
         self.builder.current(time_s, message.seq)
 
     def _doubt(self, time_s: float, total: int, mission_id: int) -> None:
