@@ -1,4 +1,4 @@
-"""Flights of a pack of another model through the live process, each with one thing wrong: the crew hears of it in time.
+"""F1, F5, F6: a pack of another model through the live process, each flight with one thing wrong, is heard of in time.
 
 The names are those of the scenarios that once ended without a word. Every one is held to the same: 45 s before the end
 of flight the ground station has been told that two minutes or less are left, or the number is not `ok` any more and a

@@ -1,4 +1,4 @@
-"""The workers of a fleet on this machine: no port leads to them, and one that dies takes only its log along."""
+"""F14: the workers of a fleet on this machine: no port leads to them, and one that dies takes only its log along."""
 
 from __future__ import annotations
 

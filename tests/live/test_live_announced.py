@@ -1,4 +1,4 @@
-"""What is said aloud: alarms that are never lost, a number that disappears, warnings that the estimate raises."""
+"""F6: what is said aloud: alarms that are never lost, a number that disappears, warnings that the estimate raises."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many who connect and want nothing: they end no process, and keep neither the autopilot nor the user out."""
+"""F4b, F11: many who connect and want nothing end no process, and keep neither the autopilot nor the user out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What others do to the process without meaning a battery: flapping bits, crash loops, many senders, slow resolvers."""
+"""F18: flapping bits, crash loops, many senders and slow resolvers: what others do without meaning a battery."""
 
 from __future__ import annotations
 

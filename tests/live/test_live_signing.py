@@ -1,4 +1,4 @@
-"""Signatures of received frames: who holds the key is heard, and what is rejected is said."""
+"""F12, F13: signatures of received frames: who holds the key is heard, and what is rejected is said."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several autopilots on one port, several senders of one identity: who is followed, and who is believed."""
+"""F2, F12: several autopilots on one port, several senders of one identity: who is followed, and who is believed."""
 
 from __future__ import annotations
 
@@ -382,7 +382,7 @@ def test_a_sender_without_a_battery_does_not_shut_out_the_one_that_has_it() -> N
 
 
 def test_silence30h_pack_45(tmp_path: Path) -> None:
-    """Landed, silent for 30 h, then a pack at 45 %: neither live's clock leaps, nor its recording's."""
+    """F4: landed, silent for 30 h, then a pack at 45 %: neither live's clock leaps, nor its recording's."""
     bench = Bench(OPTIONS, settings=SELDOM, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
     bench.play(flight()[: GROUND_ROWS + 120])
     bench.now_s += 30.0 * 3600.0

@@ -1,4 +1,4 @@
-"""Where no time can be said in flight, the measured voltage still says that the end is near."""
+"""F17: where no time can be said in flight, or none is left, the measured voltage says that the end is near."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.pending import ENDS_SOON
-from uavbatt.records import NAN
+from uavbatt.records import NAN, Status
 
 
 def test_a_capacity_that_cannot_be_takes_the_time_away_and_not_the_alarm() -> None:
@@ -41,3 +41,18 @@ def test_a_current_that_is_lost_takes_the_time_away_and_not_the_alarm(lost_s: fl
     assert all(remaining.remaining_s != remaining.remaining_s for remaining in last)
     said_s = [end_s - estimate.time_s for estimate, _ in run if ENDS_SOON in estimate.warnings]
     assert said_s and 30.0 < max(said_s) < 400.0
+
+
+@pytest.mark.parametrize("below_V", [0.1, 0.5, 1.5])
+def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None:
+    """Two minutes were said for twenty, without width: the horizon of the forecast stood as an end."""
+    rows = [*rested(Pack(soc=0.2), 20, 0.0), *flown(Pack(soc=0.2), 20.0)]
+    last = rows[-1]
+    under = [
+        replace(last, time_s=last.time_s + k, voltage_V=CUTOFF_V - below_V - 0.02 * (k % 3)) for k in range(1, 1201)
+    ]
+    options = PackOptions(cells=CELLS, capacity_Ah=Pack().size_Ah, cutoff_V=CUTOFF_V)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
+    said = [remaining for _, remaining in estimator.run([*rows, *under])][len(rows) + 5 :]
+    assert {remaining.remaining_s for remaining in said} == {0.0}
+    assert not any(remaining.status is Status.OK for remaining in said)
