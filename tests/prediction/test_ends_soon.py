@@ -46,12 +46,19 @@ def test_a_current_that_is_lost_takes_the_time_away_and_not_the_alarm(lost_s: fl
 @pytest.mark.parametrize("below_V", [0.1, 0.5, 1.5])
 def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None:
     """Two minutes were said for twenty, without width: the horizon of the forecast stood as an end."""
-    rows = [*rested(Pack(soc=0.2), 20, 0.0), *flown(Pack(soc=0.2), 20.0)]
+    pack = Pack(soc=0.2)
+    rows = [*rested(pack, 20, 0.0), *flown(pack, 20.0)]
     last = rows[-1]
     under = [
-        replace(last, time_s=last.time_s + k, voltage_V=CUTOFF_V - below_V - 0.02 * (k % 3)) for k in range(1, 1201)
+        replace(
+            last,
+            time_s=last.time_s + k,
+            voltage_V=CUTOFF_V - below_V + 0.02 * (k % 5),
+            current_A=last.current_A + 0.5 * (k % 3),
+        )
+        for k in range(1, 1201)
     ]
-    options = PackOptions(cells=CELLS, capacity_Ah=Pack().size_Ah, cutoff_V=CUTOFF_V)
+    options = PackOptions(cells=CELLS, capacity_Ah=pack.size_Ah, cutoff_V=CUTOFF_V)
     estimator = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
     said = [remaining for _, remaining in estimator.run([*rows, *under])][len(rows) + 5 :]
     assert {remaining.remaining_s for remaining in said} == {0.0}
