@@ -82,3 +82,31 @@ def test_of_a_fleet(tmp_path: Path) -> None:
 def test_an_uncertainty_beyond_the_charge_is_said_in_words() -> None:
     assert known_only_to(0.08) == "still settling: charge known to ±8%"
     assert known_only_to(7.0e19) == known_only_to(1.0) == "state of charge not known at all"
+
+
+LATIN = "r\udce9c"  # as a terminal or a service in another encoding gives it
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ("live", "udpin:127.0.0.1:1", "--record", LATIN),
+        ("live", "udpin:127.0.0.1:1", "--pack", LATIN, "--packs", "p.sqlite"),
+        ("live", f"/dev/{LATIN}"),
+        ("replay", "f.csv", "--capacity-ah", "5", "--packs", "p.sqlite", "--pack", LATIN),
+    ],
+)
+def test_an_argument_in_another_encoding_is_one_line(call: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text(HEAD + ROWS)
+    done = called(*call, folder=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "r\ufffdc: expected text in UTF-8" in done.stderr
+
+
+def test_a_log_whose_name_is_no_text_teaches_the_ledger(tmp_path: Path) -> None:
+    log = f"{LATIN}.csv"
+    flight = "".join(f"{t},{16.6 - 0.002 * t:.3f},{0.1 if t < 10 else 20}\n" for t in range(400))
+    (tmp_path / log).write_text(HEAD + flight)
+    done = called("replay", log, "--capacity-ah", "5", "--packs", "p.sqlite", "--pack", "A", folder=tmp_path)
+    assert done.returncode == 0 and "1 flight remembered" in done.stdout
+    assert "r\ufffdc.csv" in called("packs", "p.sqlite", "--pack", "A", folder=tmp_path).stdout

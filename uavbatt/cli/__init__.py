@@ -55,6 +55,10 @@ def main() -> None:
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)
+    except UnicodeEncodeError as error:  # an argument in another encoding: no file, page or ledger can hold it
+        found = error.object[max(error.start - 40, 0) : error.end + 40]
+        print(terminal_line(f"uavbatt: {found}: expected text in UTF-8"), file=sys.stderr)
+        sys.exit(2)
     except BrokenPipeError:  # `uavbatt ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -12,7 +12,7 @@ from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, SupportsIndex
 
-from uavbatt.errors import BadInput, UsageError, check_path
+from uavbatt.errors import BadInput, UsageError, check_path, printable
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.formats.logger_table import kind_of_table
@@ -70,7 +70,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
     kind, log = _kind_and_rows(source, data, system)
     chosen = _chosen(source, log, instance)
     return Flight(
-        source=source,
+        source=printable(source),
         kind=kind,
         samples=tuple(log.columns[chosen].samples() if log.columns else log.rows[chosen]),
         instance=chosen,
