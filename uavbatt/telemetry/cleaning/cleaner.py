@@ -2,8 +2,8 @@
 
 A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
 then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. The same holds in the
-air for a voltage that falls at once below 2.5 V a cell, by more than 1 V a cell, under an unchanged current: no
-discharge does that. It is used again from 2.5 V a cell on. A temperature that a cell cannot have, or that starts as hot
+air for a voltage that falls within a second below 3 V a cell, by more than 1 V a cell, under an unchanged current: no
+discharge does that. It is used again from 3 V a cell on. A temperature that a cell cannot have, or that starts as hot
 as a circuit board, is not used. A current that no pack of the size can give is not used: with it the model would
 overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a fault of the
 sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current that is
@@ -17,7 +17,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.limits import HIGHEST_C_RATE, LOWEST_CELL_V
+from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE
 from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C, plausible_temperature_C
 
@@ -30,7 +30,7 @@ ABSENT_S = 5.0  # without a current for so long from the start: there is no sens
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
-BROKEN_FALL_V = 1.0  # a cell that falls by so much between two rows, under the same current, has lost its meter
+BROKEN_FALL_V = 1.0  # a cell that falls so far below its last seconds, under the same current, has lost its meter
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -41,7 +41,6 @@ class Cleaner(NamedTuple):
     stated_power_W: float = NAN
     voltage_V: float = NAN
     voltage_s: float = NAN
-    voltage_A: float = NAN  # the current with that voltage
     is_broken: bool = False  # the wire of the voltmeter is broken
     odd_V: float = NAN  # last voltage, if it leapt: used if the next row repeats it
     temp_C: float = NAN
@@ -53,6 +52,7 @@ class Cleaner(NamedTuple):
     current_s: float = NAN
     current_V: float = NAN  # the voltage with that current
     level_V: float = NAN  # the voltage, smoothed over the last seconds
+    level_A: float = NAN  # the current, smoothed in the same way
     level_s: float = NAN
     leapt_s: float = NAN  # time of a leap of the current that the voltage has not shown yet
     metered: bool = False
@@ -112,16 +112,15 @@ class Cleaner(NamedTuple):
         is_repeated = abs(volts - self.odd_V) <= LEAP_SHARE * self.odd_V
         if is_soon and not is_repeated and not abs(volts - self.voltage_V) <= LEAP_SHARE * self.voltage_V:
             return self._replace(odd_V=volts), unused
-        now = self._replace(voltage_V=volts, voltage_s=sample.time_s, voltage_A=sample.current_A)
-        return now._replace(odd_V=NAN, is_broken=False), sample
+        return self._replace(voltage_V=volts, voltage_s=sample.time_s, odd_V=NAN, is_broken=False), sample
 
     def _is_broken_by(self, sample: Sample, cells: int, leap_A: float) -> bool:
         """Return True if the wire of the voltmeter has broken in the air, or is broken still; parameters as above."""
-        if sample.armed is False or sample.voltage_V >= cells * LOWEST_CELL_V:
+        if sample.armed is False or sample.voltage_V >= cells * EMPTIEST_CELL_V:
             return False
-        is_at_once = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
-        is_deep = self.voltage_V - sample.voltage_V > cells * BROKEN_FALL_V
-        return self.is_broken or (is_at_once and is_deep and not sample.current_A - self.voltage_A > leap_A)
+        is_at_once = sample.time_s - self.level_s <= LEAP_WITHIN_S
+        is_deep = self.level_V - sample.voltage_V > cells * BROKEN_FALL_V
+        return self.is_broken or (is_at_once and is_deep and not sample.current_A - self.level_A > leap_A)
 
     def _with_temperature(self, sample: Sample) -> tuple[Cleaner, float]:
         """Take the temperature in; returns it [°C], NaN where it is not a cell's."""
@@ -164,13 +163,16 @@ class Cleaner(NamedTuple):
         return now, read_A
 
     def _with_level(self, sample: Sample) -> Cleaner:
-        """Take the voltage into its level of the last seconds."""
+        """Take voltage and current into their levels of the last seconds."""
         if not math.isfinite(sample.voltage_V):
             return self
         dt_s = sample.time_s - self.level_s
         keep = math.exp(-max(dt_s, 0.0) / LEVEL_TAU_S) if dt_s <= LEAP_WITHIN_S else 0.0
-        level_V = sample.voltage_V + keep * (self.level_V - sample.voltage_V) if keep else sample.voltage_V
-        return self._replace(level_V=level_V, level_s=sample.time_s)
+        level_V, level_A = (
+            _blended(self.level_V, sample.voltage_V, keep),
+            _blended(self.level_A, sample.current_A, keep),
+        )
+        return self._replace(level_V=level_V, level_A=level_A, level_s=sample.time_s)
 
     def _with_cells(self, sample: Sample) -> Cleaner:
         """Take the cell voltages in: how far the weakest cell is below the mean, smoothed over half a minute."""
@@ -199,3 +201,10 @@ class Cleaner(NamedTuple):
         if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
             found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
         return tuple(found)
+
+
+def _blended(before: float, now: float, keep: float) -> float:
+    """Return the mean of two values, the first with the weight `keep`; one that is NaN does not count."""
+    if math.isnan(now):
+        return before
+    return now + keep * (before - now) if math.isfinite(before) else now
