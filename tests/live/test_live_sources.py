@@ -90,6 +90,20 @@ def test_messages_without_a_voltage_are_told_from_none_at_all() -> None:
     assert bench.daemon.board.notes == () and bench.daemon.board.reports[0].rows == 25
 
 
+def test_a_voltage_that_ends_in_the_air_is_told_from_a_silent_link() -> None:
+    """The wire of the voltmeter breaks: the page said "no telemetry", while messages came."""
+    bench = Bench()
+    fly(bench, 10.0, "0")
+    for _ in range(10):
+        bench.send(heartbeat(True))
+        bench.send(battery_status(Sample(0.0, 0.0, 12.0, armed=True), 0))
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    assert "without a voltage: is its wire broken" in " ".join(bench.daemon.board.notes)
+    fly(bench, 5.0, "0", start_Ah=0.04)
+    assert bench.daemon.board.notes == ()
+
+
 def gentle(bench: Bench, seconds: int, *disarmed_s: int) -> None:
     """A hover of 1.2 C, a row and a heartbeat each second; some heartbeats say that it is disarmed."""
     for k in range(seconds):

@@ -91,7 +91,7 @@ class Vehicle:
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
         self.hardware = ""  # serial number of the autopilot
         self.packs: dict[int, fields.PackIdentity] = {}  # identity of each pack, as it says itself
-        self._without_voltage = 0  # battery messages without a voltage
+        self._without_voltage = 0  # battery messages without a voltage since the last one with it
         self.speaks = False  # True once it has sent two messages of a battery
         self.heard_s = -math.inf
         self._beat_s = -math.inf
@@ -125,9 +125,10 @@ class Vehicle:
     @property
     def notes(self) -> list[str]:
         """Return notes for the operator about the voltages of the batteries."""
-        if self.speaks or self._without_voltage < WITHOUT_VOLTAGE:
+        if self._without_voltage < WITHOUT_VOLTAGE:
             return [*self.voltages.notes]
-        return ["battery messages come without a voltage: is the autopilot's battery monitor set up?"]
+        doubt = "is its wire broken, or the pack out?" if self.speaks else "is the autopilot's battery monitor set up?"
+        return [f"battery messages come without a voltage: {doubt}"]
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
@@ -280,6 +281,7 @@ class Vehicle:
         if not self._log.add(battery.id, sample):
             self._without_voltage += not math.isfinite(battery.voltage_V)
             return None
+        self._without_voltage = 0
         kept = self._log.rows[battery.id]
         del kept[:-1]
         del self._log.notes[:-10]
