@@ -93,10 +93,10 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
 
 def _route(route: Route) -> Line:
     """Return the values of `ROUTE_COLUMNS`, in that order."""
-    fields = {key: key.removeprefix("route_") for key in ROUTE_COLUMNS}
+    values = {key: getattr(route, key.removeprefix("route_")) for key in ROUTE_COLUMNS}
+    values["route_reason"] = "; ".join(filter(None, (route.reason, route.assumed)))
     return {
-        key: getattr(route, fields[key]) if digits is None else rounded(getattr(route, fields[key]), digits)
-        for key, digits in ROUTE_COLUMNS.items()
+        key: values[key] if digits is None else rounded(values[key], digits) for key, digits in ROUTE_COLUMNS.items()
     }
 
 

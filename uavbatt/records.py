@@ -245,6 +245,7 @@ class Route:
         turn_back_hi_s: 95 % point.
         reason: why the route was not used, or why there is no turn-back.
         is_returning: the aircraft flies home or lands already.
+        assumed: what the mission does not say and the forecast assumes, in words.
     """
 
     load: str
@@ -260,6 +261,7 @@ class Route:
     turn_back_hi_s: float = NAN
     reason: str = ""
     is_returning: bool = False
+    assumed: str = ""
 
     def later(self, age_s: float) -> Route:
         """Return the same as it stands `age_s` [s] later."""

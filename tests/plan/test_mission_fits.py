@@ -132,6 +132,13 @@ def test_the_hover_that_is_left_is_the_pack_s_and_not_the_mission_s() -> None:
     assert near.spare_lo_s > 3.0 * near.route.left_s
 
 
+def test_a_plan_of_a_mission_without_a_landing_says_that_it_flies_home() -> None:
+    open_end, closed = planned(to(1, 0.0, 300.0, 40.0)), planned(to(1, 0.0, 300.0, 40.0), MissionItem(2, Action.RETURN))
+    assert "the mission has no landing: flight home assumed" in open_end.warnings
+    assert not any("no landing" in warning for warning in closed.warnings)
+    assert open_end.here.route.left_s == pytest.approx(closed.here.route.left_s)
+
+
 def test_a_plan_names_the_autopilot_whose_defaults_it_uses() -> None:
     far = planned(to(1, 0.0, 300.0, 40.0), settings=ReturnSettings(cruise_ms=5.0, is_px4=True))
     assert "PX4's defaults are used for climb, descent, return height, landing" in far.warnings

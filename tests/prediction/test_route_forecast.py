@@ -238,6 +238,15 @@ def test_without_a_position_and_without_home_nothing_is_invented() -> None:
     assert math.isnan(said.turn_back_s)
 
 
+def test_a_line_says_that_the_flight_home_is_assumed() -> None:
+    ends_there, returns = known(leg_to(350.0)), known(leg_to(350.0), MissionItem(2, Action.RETURN))
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimate, _ = estimator.step(Sample(0.0, 15.0, 12.0))
+    said = [line(estimate, flown(now)[-1])["route_reason"] for now in (ends_there, returns)]
+    assert "flight home assumed" in str(said[0]) and "flight home assumed" not in str(said[1])
+    assert route(replace(ends_there, mode=Mode.RETURN)).assumed == ""  # it flies home: nothing is assumed
+
+
 def test_a_line_has_the_keys_of_the_route_only_where_one_is_known() -> None:
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     estimate, remaining = estimator.step(Sample(0.0, 15.0, 12.0))

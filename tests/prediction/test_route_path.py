@@ -9,7 +9,7 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
-from uavbatt.prediction.route_legs import Phase, Point
+from uavbatt.prediction.route_legs import Phase, Point, way_points
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, way_home
 from uavbatt.simulate.route import route_flight
 
@@ -59,6 +59,29 @@ def test_speeds_change_where_an_item_says_so_and_come_back_without_one() -> None
     own = MissionItem(4, Action.SPEED)
     items = (to(1, 100.0, 0.0, 40.0), faster, to(3, 200.0, 0.0, 40.0), own, to(5, 300.0, 0.0, 40.0))
     assert [leg.speed_ms for leg in path(mission(*items), HOME, SETTINGS).legs[:3]] == [5.0, 10.0, 5.0]
+
+
+@pytest.mark.parametrize("last", [Action.RETURN, Action.LAND, Action.WAYPOINT, Action.LOITER_TIME])
+def test_a_flight_home_that_the_mission_does_not_ask_for_is_named(last: Action) -> None:
+    """An ArduCopter waits at the last waypoint of such a mission; no number may look as if the way home was planned."""
+    found = path(mission(to(1, 100.0, 0.0, 40.0), to(2, 200.0, 0.0, 40.0, action=last)), HOME, SETTINGS)
+    assert found.legs[-1].end.height_m == 0.0
+    assert ("flight home assumed" in found.assumed) is (last not in (Action.RETURN, Action.LAND))
+
+
+def test_a_map_draws_turns_around_their_centre() -> None:
+    """Two turns and a half end opposite of where they begin, and the aircraft never comes near the centre."""
+    turns = to(2, 300.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=2.5, radius_m=50.0)
+    legs = path(mission(to(1, 100.0, 0.0, 40.0), turns, to(3, 300.0, 400.0, 40.0)), HOME, SETTINGS).legs
+    drawn = way_points(legs)
+    from_centre_m = [math.dist(point[:2], (300.0, 0.0)) for point in drawn]
+    assert min(from_centre_m) == pytest.approx(50.0, abs=0.1)
+    round_m = [point for point, far_m in zip(drawn, from_centre_m, strict=True) if far_m < 51.0]
+    assert max(point.east_m for point in round_m) == pytest.approx(50.0, abs=0.5)
+    assert min(point.east_m for point in round_m) == pytest.approx(-50.0, abs=0.5)
+    assert round_m[0][:2] == pytest.approx((250.0, 0.0), abs=0.1)
+    assert round_m[-1][:2] == pytest.approx((350.0, 0.0), abs=0.1)
+    assert drawn[0] == (0.0, 0.0, 0.0) and drawn[-1] == legs[-1].end
 
 
 def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:

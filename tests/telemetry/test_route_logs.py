@@ -253,13 +253,6 @@ def test_a_jump_has_the_legs_of_the_items_written_out() -> None:
     assert legs(written) == legs(ROUTE)
 
 
-def test_a_mission_of_a_px4_is_flown_with_home_in_front() -> None:
-    items = [replace(i, seq=i.seq - 1, jump_to=i.jump_to - 1) for i in ROUTE.items[1:]]
-    flight = route_flight(mission(items, "plan", has_home_item=False), HOME, Wind(0.0, 0.0), 0.0)
-    assert [i.command for i in flight.mission.items] == [i.command for i in ROUTE.items]
-    assert [leg.end for leg in flight.legs] == [leg.end for leg in route_flight(ROUTE, HOME, Wind(0.0, 0.0), 0.0).legs]
-
-
 def test_wind_changes_what_a_route_asks() -> None:
     watts = watts_of(200.0)
 

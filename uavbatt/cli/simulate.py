@@ -63,12 +63,13 @@ def simulate(
     """
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
+    from uavbatt.simulate.flight import SimulatedFlight, check_kind, simulate_flight, with_effects, write_log
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
         raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
     route = _route(mission, wind) if mission is not None else None
+    check_kind(output, route)
     content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series
     share = series / content.battery.cells_series

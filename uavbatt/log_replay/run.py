@@ -126,6 +126,11 @@ class RouteForecasts(NamedTuple):
         reasons = Counter(route.reason for _, route in self.rows if route.load != "route" and route.reason)
         return reasons.most_common(1)[0][0] if reasons else ""
 
+    @property
+    def assumed(self) -> str:
+        """Return what was assumed of the last mission that does not say all; empty if there is none."""
+        return next((route.assumed for _, route in reversed(self.rows) if route.assumed), "")
+
 
 def route_forecasts(run: Iterable[ReplayedRow]) -> RouteForecasts:
     """Return the forecasts of a replay about route and way home; empty where neither mission nor home was known."""

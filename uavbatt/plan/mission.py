@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import path, return_reason, way_home
+from uavbatt.prediction.route_path import Path, path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
 from uavbatt.records import IN_TIME, Route
 
@@ -42,7 +43,7 @@ NOT_REACHED = 0.5  # no charge is shown where more of the draws have ended befor
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PlannedMission:
     """PlannedMission holds a mission, its home, the speeds, the power law of the aircraft, and the wind."""
 
@@ -52,9 +53,14 @@ class PlannedMission:
     powers: Powers
     wind: Wind
 
+    @cached_property
+    def path(self) -> Path:
+        """Return its legs from take-off to touchdown."""
+        return path(self.mission, self.home, self.settings)
+
     def ahead(self) -> tuple[Ahead, LegTiming]:
         """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
-        found = path(self.mission, self.home, self.settings)
+        found = self.path
         if found.reason or not found.lands:
             raise UsageError(
                 f"{self.mission.source}: {found.reason or 'it loiters without end, and its landing time is not known'}"
@@ -133,7 +139,9 @@ def make_route_plan(
     here, flying, end_s = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
-    remarks = (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned))
+    remarks = (
+        resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned), planned.path.assumed
+    )  # fmt: skip
     warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
     legs = _leg_ends(ahead, flying, end_s)  # at the planned times; touchdown counts early and late ones

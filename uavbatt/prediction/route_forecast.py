@@ -11,7 +11,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.scaling import Pack
-from uavbatt.navigation import Navigation, ReturnSettings
+from uavbatt.navigation import Mode, Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
@@ -46,6 +46,7 @@ class ToCome(NamedTuple):
     route: Ahead | None
     home_reason: str  # why the way home is not known; empty if it is known
     is_returning: bool = False
+    assumed: str = ""  # what the mission does not say
 
 
 class RouteQuestion(NamedTuple):
@@ -57,6 +58,7 @@ class RouteQuestion(NamedTuple):
     route_soc: Array | None
     turning: Turning | None
     is_returning: bool = False
+    assumed: str = ""
 
 
 class WaysState(NamedTuple):
@@ -90,7 +92,8 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
         return ToCome(load, name, route, None, home_reason, returning)
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd), "route"
-    return ToCome(load, name, "", route, home_reason, returning)
+    assumed = progress.path.assumed if navigation.mode is Mode.MISSION else ""
+    return ToCome(load, name, "", route, home_reason, returning, assumed)
 
 
 def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
@@ -130,7 +133,7 @@ def fly_ways(
     The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
     here; None if it is not known.
     """
-    asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning)
+    asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning, known.assumed)
     scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
@@ -160,7 +163,7 @@ def _reason(known: ToCome) -> str:
 
 def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
     """Return what a forecast says of route, way home and turn-back, by the simulated ends of the flight [draws]."""
-    said = Route(asked.load, reason=asked.reason, is_returning=asked.is_returning)
+    said = Route(asked.load, reason=asked.reason, is_returning=asked.is_returning, assumed=asked.assumed)
     if asked.route_s is not None and asked.route_soc is not None:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
         risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))

@@ -11,6 +11,8 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 
+POINTS_OF_TURN = 36  # of a circle on a map
+
 
 class Phase(IntEnum):
     """A Phase names the part of a flight to which a leg belongs."""
@@ -76,6 +78,22 @@ def on_circle(leg: Leg, share: float) -> Point:
     """Return the place on a leg of turns after a share of it; the turns are clockwise, seen from above."""
     begin = math.atan2(leg.begin.east_m - leg.end.east_m, leg.begin.north_m - leg.end.north_m)
     return _at_angle(leg.end, leg.circle_m, begin + share * leg.run_m / leg.circle_m)
+
+
+def way_points(legs: Sequence[Leg]) -> list[Point]:
+    """Return the points of these legs in order, with which a map draws them; a circle is drawn once and a part."""
+    points = [legs[0].begin] if legs else []
+    for leg in legs:
+        points += _around(leg) if leg.circle_m > 0.0 else [leg.end]
+    return points
+
+
+def _around(circle: Leg) -> list[Point]:
+    """Return points on a circle up to the place where its turns end."""
+    turns = circle.run_m / (2.0 * math.pi * circle.circle_m)
+    drawn = min(turns, 1.0 + turns % 1.0)  # more turns would only be drawn over the first one
+    count = max(math.ceil(POINTS_OF_TURN * drawn), 1)
+    return [on_circle(circle, drawn / turns * k / count) for k in range(1, count + 1)]
 
 
 def _at_angle(centre: Point, radius_m: float, angle: float) -> Point:

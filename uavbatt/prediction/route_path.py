@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
 CIRCLE_RADIUS_M, CIRCLE_RATE_DEG_S, ACCELERATION_MS2 = 10.0, 20.0, 2.5  # ArduCopter's, where it does not state them
 NEAR_M = 1.0  # a take-off so near its place does not fly there
+NO_LANDING = "the mission has no landing: flight home assumed"
 ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
 
@@ -32,6 +33,7 @@ class Path:
     legs: tuple[Leg, ...] = ()
     reason: str = ""
     lands: bool = True  # False: it waits somewhere without end
+    assumed: str = ""  # what the mission does not say, in words
 
     @cached_property
     def table(self) -> LegsTable:
@@ -134,7 +136,7 @@ def _speeds(settings: ReturnSettings) -> _Speeds:
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included.
 
-    If it is not known, the path has a reason instead of legs.
+    If it is not known, the path has a reason instead of legs. A mission that ends in the air is taken to fly home.
     """
     if mission.reason:
         return Path(reason=mission.reason)
@@ -166,7 +168,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         return Path(reason="the mission goes nowhere")
     if elsewhere:
         return Path(reason=f"{elsewhere}, and the mission does not end with a landing")
-    return returned([*legs, *way_home(at, settings)], settings)
+    return replace(returned([*legs, *way_home(at, settings)], settings), assumed=NO_LANDING)
 
 
 def returned(legs: list[Leg], settings: ReturnSettings) -> Path:

@@ -134,6 +134,7 @@ def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
         if forecasts.rows
         else None,
         "route_reason": forecasts.why_no_route,
+        "route_assumed": forecasts.assumed,
         "turn_back_now_s": turn_s if math.isfinite(turn_s) else None,
     }
 
@@ -145,6 +146,8 @@ def _route_lines(route: dict[str, Any]) -> list[str]:
         return []
     why = f" (else: {route['route_reason']})" if route["route_reason"] else ""
     text_lines = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
+    if route["route_assumed"]:
+        text_lines.append(f"  assumed    {route['route_assumed']}")
     if turn_s is not None:
         text_lines.append(f"  turn back  said first {duration(turn_s)} after the log's start")
     return text_lines

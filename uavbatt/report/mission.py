@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt.plan.mission import MissionPlan, RouteFit
-from uavbatt.prediction.route_legs import Point
+from uavbatt.prediction.route_legs import way_points
 from uavbatt.records import IN_TIME
 from uavbatt.report import plot
 from uavbatt.report.page import (
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 def mission_report(plan: MissionPlan, name: str) -> str:
     """Return the whole page as HTML, under the mission's `name`."""
-    points = [Point(0.0, 0.0, 0.0), *(leg.place for leg in plan.legs)]
+    points = way_points(plan.planned.path.legs)
     note = "The red point is where the aircraft must turn back to be home with 95 %." if plan.turning else ""
     return page(
         f"{name}: does it fit?",

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from uavbatt.log_replay.run import ReplayedRow, RouteForecasts, route_forecasts
-from uavbatt.prediction.route_legs import Point
+from uavbatt.prediction.route_legs import Point, way_points
 from uavbatt.prediction.route_path import path, place
 from uavbatt.records import Flight, Route
 from uavbatt.report.page import Html, duration, paragraph, section
@@ -44,8 +44,7 @@ def _planned(flight: Flight) -> list[Point]:
     last = flight.navigation_at(math.inf)
     if last.mission is None or last.home is None:
         return []
-    legs = path(last.mission, last.home, last.settings).legs
-    return [Point(0.0, 0.0, 0.0), *(leg.end for leg in legs)]
+    return way_points(path(last.mission, last.home, last.settings).legs)
 
 
 def _words(forecasts: Sequence[tuple[float, Route]], turn_s: float) -> str:
@@ -66,4 +65,5 @@ def _loads(forecasts: RouteForecasts) -> str:
     loads = Counter(route.load for _, route in forecasts.rows)
     used = ", ".join(f"{load} in {count} of {len(forecasts.rows)} rows" for load, count in loads.most_common())
     why = f"; most often because {forecasts.why_no_route}" if forecasts.why_no_route else ""
-    return f"Load to come: {used}{why}."
+    assumed = f" Assumed: {forecasts.assumed}." if forecasts.assumed else ""
+    return f"Load to come: {used}{why}.{assumed}"

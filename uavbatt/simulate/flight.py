@@ -22,7 +22,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
 from uavbatt.files import atomic_write
 from uavbatt.records import Sample
-from uavbatt.simulate.route import PARAMETERS, RouteFlight
+from uavbatt.simulate.route import Autopilot, RouteFlight
 from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
 from uavbatt.telemetry.formats.route_writer import dataflash_records, tlog_messages
 from uavbatt.telemetry.formats.tlog_writer import write_tlog
@@ -147,27 +147,45 @@ def _row(
     )
 
 
+def check_kind(path: Path, route: RouteFlight | None = None) -> None:
+    """Raise UsageError for a file name whose suffix names no log that can be written, with this route."""
+    kind = path.suffix.lower()
+    if kind not in (".tlog", ".bin", ".csv"):
+        raise UsageError(f"{path}: expected a name that ends in .tlog, .BIN or .csv")
+    if kind == ".bin" and route is not None and route.autopilot.is_px4:
+        raise UsageError(f"{path}: expected .tlog or .csv: the mission is a PX4's, and .BIN is a log of ArduPilot")
+
+
 def write_log(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight | None = None) -> None:
-    """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix. Raises UsageError for another one."""
-    parameters = (PARAMETERS if route is not None else {}) | {
+    """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix. Raises UsageError as `check_kind` does."""
+    check_kind(path, route)
+    kind, parameters = path.suffix.lower(), _parameters(pack, route.autopilot if route is not None else None)
+    flown = route.flown(samples[-1].time_s) if route is not None else None
+    if kind == ".csv":
+        _write_csv(path, samples)
+    elif kind == ".bin":
+        write_dataflash(path, samples, parameters, route=list(dataflash_records(flown)) if flown is not None else ())
+    elif flown is None:
+        write_tlog(path, samples, parameters)
+    else:
+        route_messages = tlog_messages(flown)
+        write_tlog(path, samples, parameters, route=route_messages, mode_at=flown.mode_at, is_px4=flown.is_px4)
+
+
+def _parameters(pack: Pack, autopilot: Autopilot | None) -> dict[str, float]:
+    """Return the parameters of the vehicle: of speed and return where a route is flown, and of the battery."""
+    of_route = dict(autopilot.parameters) if autopilot is not None else {}
+    capacity_mAh, cells = round(float(pack.installation.capacity_Ah) * 1000.0), pack.installation.cells
+    empty_V = pack.cutoff_V / cells
+    if autopilot is not None and autopilot.is_px4:
+        return of_route | {"BAT1_N_CELLS": cells, "BAT1_CAPACITY": float(capacity_mAh), "BAT1_V_EMPTY": empty_V}
+    return of_route | {
         "BATT_MONITOR": 4.0,
-        "BATT_CAPACITY": round(float(pack.installation.capacity_Ah) * 1000.0),
+        "BATT_CAPACITY": capacity_mAh,
         "BATT_LOW_VOLT": round(pack.low_V, 3) if np.isfinite(pack.low_V) else 0.0,
         "BATT_CRT_VOLT": round(pack.cutoff_V, 3),
         "BATT_OPTIONS": 0.0,
     }
-    kind = path.suffix.lower()
-    flown = route.flown(samples[-1].time_s) if route is not None else None
-    if kind == ".tlog" and flown is not None:
-        write_tlog(path, samples, parameters, route=tlog_messages(flown), mode_at=flown.mode_at)
-    elif kind == ".tlog":
-        write_tlog(path, samples, parameters)
-    elif kind == ".bin":
-        write_dataflash(path, samples, parameters, route=list(dataflash_records(flown)) if flown is not None else ())
-    elif kind == ".csv":
-        _write_csv(path, samples)
-    else:
-        raise UsageError(f"{path}: expected a name that ends in .tlog, .BIN or .csv")
 
 
 def _write_csv(path: Path, samples: list[Sample]) -> None:

@@ -2,7 +2,7 @@
 
 Legs are flown at their planned speeds over ground, without acceleration. The wind changes the airspeed and so the
 power, by the same law as in the forecast of a route. After the last item the aircraft returns, as if the pilot switched
-to RTL.
+to RTL. A mission without home as item 0 is a PX4's: it is flown with PX4's modes, numbers and default parameters.
 """
 
 from __future__ import annotations
@@ -10,27 +10,44 @@ from __future__ import annotations
 import dataclasses
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
 from uavbatt.errors import UsageError
-from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, Wind
+from uavbatt.navigation import Home, Mission, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, Path, path
 from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
-from uavbatt.telemetry.route.commands import WAYPOINT
+from uavbatt.telemetry.route.modes import px4_auto
 from uavbatt.telemetry.route.settings import return_settings
 
-COPTER_AUTO, COPTER_LOITER, COPTER_RTL = 3, 5, 6
-PARAMETERS = {
+
+class Autopilot(NamedTuple):
+    """Autopilot holds the numbers of the modes of an autopilot, and its default parameters of speed and return.
+
+    hold, mission, returning : as in HEARTBEAT.custom_mode
+    """
+
+    is_px4: bool
+    hold: int
+    mission: int
+    returning: int
+    parameters: Mapping[str, float]  # an int is an integer of the autopilot
+
+
+ARDUCOPTER = Autopilot(False, 5, 3, 6, {
     "WPNAV_SPEED": 500.0, "WPNAV_SPEED_UP": 250.0, "WPNAV_SPEED_DN": 150.0, "RTL_ALT": 1500.0, "RTL_SPEED": 0.0,
     "RTL_LOIT_TIME": 5000.0, "RTL_ALT_FINAL": 0.0, "LAND_SPEED": 50.0, "LAND_SPEED_HIGH": 0.0,
-}  # fmt: skip
-"""The simulated vehicle's parameters of speed and return: ArduCopter's defaults."""
+})  # fmt: skip
+PX4 = Autopilot(True, px4_auto(3), px4_auto(4), px4_auto(5), {
+    "MPC_XY_CRUISE": 5.0, "MPC_Z_V_AUTO_UP": 3.0, "MPC_Z_V_AUTO_DN": 1.5, "RTL_RETURN_ALT": 60.0, "RTL_LAND_DELAY": 0.0,
+    "RTL_CONE_ANG": 45, "RTL_MIN_DIST": 10.0, "RTL_TYPE": 0, "MPC_LAND_SPEED": 0.7, "MPC_LAND_ALT2": 5.0,
+})  # fmt: skip
 ROW_PERIOD_S = 1.0
 SHORTEST_AIRSPEED_MS = 0.01  # 0 would say that it is not known
 
@@ -39,11 +56,12 @@ Watts = Callable[[float, float, Phase], float]  # airspeed [m/s], climb [m/s], p
 
 @dataclass(frozen=True, slots=True)
 class RouteFlight:
-    """A RouteFlight holds legs in their order, when each begins [s], when it lands [s], and the wind."""
+    """A RouteFlight holds legs in their order, when each begins [s], when it lands [s], wind and autopilot."""
 
     mission: Mission
     home: Home
     wind: Wind
+    autopilot: Autopilot
     legs: tuple[Leg, ...]
     begins_s: tuple[float, ...]
     lands_s: float
@@ -72,12 +90,12 @@ class RouteFlight:
     def flown(self, end_s: float) -> FlownRoute:
         """Return the rows of a log until `end_s` [s], one a second, with the mission and the wind."""
         rows = [self._row(k * ROW_PERIOD_S) for k in range(int(end_s / ROW_PERIOD_S) + 1)]
-        return FlownRoute(self.home, self.mission, self.wind, rows)
+        return FlownRoute(self.home, self.mission, self.wind, rows, self.autopilot.is_px4)
 
     def _row(self, time_s: float) -> RouteRow:
         leg, is_landed = self._leg(time_s), not self.begins_s[0] <= time_s < self.lands_s
-        last = self.mission.items[-1].seq
-        mode = COPTER_LOITER if time_s < self.begins_s[0] else COPTER_AUTO if leg.seq >= 0 else COPTER_RTL
+        last, own = self.mission.items[-1].seq, self.autopilot
+        mode = own.hold if time_s < self.begins_s[0] else own.mission if leg.seq >= 0 else own.returning
         return RouteRow(self.position(time_s), leg.seq if leg.seq >= 0 else last, mode, is_landed)
 
     def _index(self, time_s: float) -> int:
@@ -90,14 +108,18 @@ class RouteFlight:
 def route_flight(
     mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
 ) -> RouteFlight:
-    """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end."""
-    mission = dataclasses.replace(_with_home_item(mission, home), return_reason="")  # this one has no rally points
-    way: Path = path(mission, home, settings or return_settings(PARAMETERS))
+    """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end.
+
+    settings : speeds and way home; by default those of the autopilot's parameters
+    """
+    mission = dataclasses.replace(mission, return_reason="")  # this one has no rally points
+    own = ARDUCOPTER if mission.has_home_item else PX4
+    way: Path = path(mission, home, settings or return_settings(own.parameters, own.is_px4))
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end, and never lands'}")
     times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
-    return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
+    return RouteFlight(mission, home, wind, own, way.legs, begins_s[:-1], begins_s[-1])
 
 
 def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
@@ -108,15 +130,6 @@ def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
         return here, (-along * (here.east_m - leg.end.east_m), along * (here.north_m - leg.end.north_m), 0.0)
     place = Point(*(a + share * (b - a) for a, b in zip(leg.begin, leg.end, strict=True)))
     return place, (leg.end.north_m - leg.begin.north_m, leg.end.east_m - leg.begin.east_m, leg.rise_m)
-
-
-def _with_home_item(mission: Mission, home: Home) -> Mission:
-    """Return the mission as an ArduPilot holds it: home is item 0, all others move up by one."""
-    if mission.has_home_item:
-        return mission
-    first = MissionItem(0, Action.WAYPOINT, home.lat_deg, home.lon_deg, home.alt_m, Frame.SEA, command=WAYPOINT)
-    moved = (dataclasses.replace(i, seq=i.seq + 1, jump_to=i.jump_to + 1) for i in mission.items)
-    return dataclasses.replace(mission, items=(first, *moved), has_home_item=True)
 
 
 def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:

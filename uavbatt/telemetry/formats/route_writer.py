@@ -1,7 +1,8 @@
-"""A flown route -> the MAVLink messages and the DataFlash records that an ArduCopter writes of it, for simulated logs.
+"""A flown route -> the MAVLink messages of its autopilot, or an ArduCopter's DataFlash records, for simulated logs.
 
-tlog      HOME_POSITION, MISSION_COUNT, MISSION_ITEM_INT at time 0; at every row GLOBAL_POSITION_INT, VFR_HUD,
-          MISSION_CURRENT, EXTENDED_SYS_STATE, WIND; MISSION_ITEM_REACHED when the next item begins
+tlog      HEARTBEAT, HOME_POSITION, MISSION_COUNT, MISSION_ITEM_INT at time 0; at every row GLOBAL_POSITION_INT,
+          VFR_HUD, MISSION_CURRENT, EXTENDED_SYS_STATE, WIND (a PX4: WIND_COV); MISSION_ITEM_REACHED when the next item
+          begins
 DataFlash MSG, ORGN, CMD at time 0; at every row POS, GPS, XKF2; MISE, MODE and EV where something changes
 """
 
@@ -16,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.navigation import Home, Mission, Position, Wind
 from uavbatt.telemetry.formats.dataflash_layouts import CMD, EV, GPS, MISE, MODE, MSG, ORGN, POS, XKF2
+from uavbatt.telemetry.formats.tlog_writer import heartbeat
 from uavbatt.telemetry.route.commands import Fields, item_fields
 
 STATION = (255, 190)  # who downloaded the mission: a ground station
@@ -25,7 +27,7 @@ FIX_3D, SATELLITES, HDOP = 3, 12, 80
 
 
 class RouteRow(NamedTuple):
-    """A RouteRow is a simulated aircraft at one instant; `mode` is ArduCopter's number, `seq` the item being flown."""
+    """A RouteRow is a simulated aircraft at one instant; `mode` is its autopilot's number, `seq` the item flown."""
 
     position: Position
     seq: int
@@ -40,6 +42,7 @@ class FlownRoute(NamedTuple):
     mission: Mission
     wind: Wind
     rows: Sequence[RouteRow]
+    is_px4: bool = False
 
     def mode_at(self, time_s: float) -> int:
         """Return the number of the mode at a time [s]."""
@@ -49,6 +52,7 @@ class FlownRoute(NamedTuple):
 
 def tlog_messages(route: FlownRoute) -> Iterator[tuple[float, Any]]:
     """Yield the messages of a route with their times [s], ascending."""
+    yield 0.0, heartbeat(False, route.mode_at(0.0), route.is_px4)  # how items are counted depends on the autopilot
     for message in _home_and_mission(route):
         yield 0.0, message
     seq = None
@@ -89,8 +93,19 @@ def _moving(row: RouteRow, route: FlownRoute) -> Iterator[Any]:
     yield dialect.MAVLink_mission_current_message(row.seq)
     landed = dialect.MAV_LANDED_STATE_ON_GROUND if row.is_landed else dialect.MAV_LANDED_STATE_IN_AIR
     yield dialect.MAVLink_extended_sys_state_message(0, landed)
+    yield _wind_cov(place.time_s, wind) if route.is_px4 else _wind(wind)
+
+
+def _wind(wind: Wind) -> Any:
     from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
-    yield dialect.MAVLink_wind_message(from_deg, math.hypot(wind.north_ms, wind.east_ms), 0.0)
+    return dialect.MAVLink_wind_message(from_deg, math.hypot(wind.north_ms, wind.east_ms), 0.0)
+
+
+def _wind_cov(time_s: float, wind: Wind) -> Any:
+    unknown = math.nan
+    return dialect.MAVLink_wind_cov_message(
+        round(time_s * 1e6), wind.north_ms, wind.east_ms, 0.0, unknown, unknown, unknown, unknown, unknown
+    )
 
 
 def dataflash_records(route: FlownRoute) -> Iterator[tuple[float, bytes]]:

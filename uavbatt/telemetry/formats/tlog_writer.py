@@ -68,6 +68,7 @@ def write_tlog(
     epoch_us: int = EPOCH_US,
     route: Iterable[tuple[float, Any]] = (),
     mode_at: Callable[[float], int] = lambda time_s: 0,
+    is_px4: bool = False,
 ) -> None:
     """Write `samples` and the vehicle's `parameters` to `path` as a tlog.
 
@@ -75,7 +76,8 @@ def write_tlog(
     system_id : source system of every frame; the source component is 1 (the autopilot)
     epoch_us : wall time of time_s = 0 [us since 1970]
     route : messages of route and place with their times [s], ascending (`route_writer`)
-    mode_at : number of ArduCopter's mode at a time [s]
+    mode_at : number of the autopilot's mode at a time [s]
+    is_px4 : the autopilot is a PX4, else an ArduCopter
     """
     encoder: Any = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
     with atomic_write(path, "wb") as file:
@@ -85,15 +87,15 @@ def write_tlog(
             file.write(message.pack(encoder))
             encoder.seq = (encoder.seq + 1) % 256
 
-        for message in _parameter_frames(parameters or {}):
+        for message in _parameter_frames(parameters or {}, is_px4):
             put(message, 0)
-        told = _sample_messages(samples, battery_id, mode_at)
+        told = _sample_messages(samples, battery_id, mode_at, is_px4)
         for time_s, message in merge(route, told, key=lambda one: one[0]):
             put(message, round(time_s * 1e6))
 
 
 def _sample_messages(
-    samples: Iterable[Sample], battery_id: int, mode_at: Callable[[float], int]
+    samples: Iterable[Sample], battery_id: int, mode_at: Callable[[float], int], is_px4: bool
 ) -> Iterator[tuple[float, Any]]:
     """Yield the messages of every sample in order with their times [s], and heartbeats between them."""
     last_us, beat_us, armed = 0, -math.inf, None
@@ -102,24 +104,28 @@ def _sample_messages(
         changed = sample.armed is not None and sample.armed != armed
         armed = sample.armed if sample.armed is not None else armed
         if changed or (armed is not None and last_us - beat_us >= HEARTBEAT_PERIOD_S * 1e6):
-            yield sample.time_s, heartbeat(bool(armed), mode_at(sample.time_s))
+            yield sample.time_s, heartbeat(bool(armed), mode_at(sample.time_s), is_px4)
             beat_us = last_us
         yield sample.time_s, sys_status(sample)
         yield sample.time_s, battery_status(sample, battery_id)
 
 
-def _parameter_frames(parameters: Mapping[str, float]) -> Iterator[Any]:
+def _parameter_frames(parameters: Mapping[str, float], is_px4: bool) -> Iterator[Any]:
     for index, (name, value) in enumerate(parameters.items()):
-        yield common.MAVLink_param_value_message(
-            _ascii(name, 16), value, common.MAV_PARAM_TYPE_REAL32, len(parameters), index
-        )
+        kind = common.MAV_PARAM_TYPE_REAL32
+        if is_px4 and isinstance(value, int):  # a PX4 copies the bytes of an integer into the float
+            kind, (value,) = common.MAV_PARAM_TYPE_INT32, struct.unpack("<f", struct.pack("<i", value))
+        yield common.MAVLink_param_value_message(_ascii(name, 16), value, kind, len(parameters), index)
 
 
-def heartbeat(armed: bool, mode: int = 0) -> Any:
-    """Return a HEARTBEAT of an ArduPilot multicopter in a mode of this number; base_mode has only the armed bit."""
+def heartbeat(armed: bool, mode: int = 0, is_px4: bool = False) -> Any:
+    """Return a HEARTBEAT of a quadrotor with an ArduPilot or a PX4; base_mode has only the armed bit.
+
+    mode : number of its flight mode (custom_mode)
+    """
     return common.MAVLink_heartbeat_message(
         common.MAV_TYPE_QUADROTOR,
-        common.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        common.MAV_AUTOPILOT_PX4 if is_px4 else common.MAV_AUTOPILOT_ARDUPILOTMEGA,
         common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0,
         mode,
         common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY,

@@ -79,6 +79,11 @@ def px4_mode(custom_mode: int) -> Mode:
     return _PX4_OF_AUTO.get(of_auto, Mode.UNKNOWN) if main == _PX4_AUTO else _PX4_MAIN.get(main, Mode.UNKNOWN)
 
 
+def px4_auto(of_auto: int) -> int:
+    """Return HEARTBEAT.custom_mode of a PX4 in this mode of AUTO (3 hold, 4 mission, 5 return)."""
+    return _PX4_AUTO << 16 | of_auto << 24
+
+
 def px4_state(nav_state: int) -> Mode:
     """Return the mode of a PX4 multicopter by vehicle_status.nav_state."""
     return _PX4_STATE.get(nav_state, Mode.UNKNOWN)
