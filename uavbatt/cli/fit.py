@@ -105,11 +105,11 @@ def _findings(found: FittedBattery) -> list[str]:
 
 def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:
     from uavbatt.battery import vehicle_file
-    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.fitting.vehicle import fit_vehicle
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
-    learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
+    learned = fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
     vehicle_file.write_vehicle(learned, path)
     phases = learned.phases
     return (

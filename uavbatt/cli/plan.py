@@ -119,7 +119,7 @@ def _load(
 ) -> tuple[Load, str]:
     """Return the load to come and its name."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.fitting.vehicle import fit_vehicle
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
     from uavbatt.prediction.load_library import learned_load
     from uavbatt.prediction.take_off import FromTakeOff
@@ -128,7 +128,7 @@ def _load(
         return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"
     if flight is not None:
         try:
-            flown = learn(Path(flight.source).stem, [flight], battery, options)
+            flown = fit_vehicle(Path(flight.source).stem, [flight], battery, options)
         except NotEnoughData as error:
             raise NotEnoughData(f"--like {error}") from None
         words = f"as in {Path(flight.source).name}, {flown.phases.flight_W:.0f} W on average"

@@ -125,7 +125,7 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
 
 
 def _metered(dataset: DataSet) -> ShippedModel:
-    fit = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
+    fit = solve.fit_cell(observed.stack(observed.from_dataset(dataset)))
     error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     table = assemble.parameter_table(fit.slots, fit.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
     entries = assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS)

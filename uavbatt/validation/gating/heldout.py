@@ -217,7 +217,7 @@ def _metered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects:
 def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
     training = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
-    fit = solve.fit_battery(observed.stack(observed.from_dataset(training)), effects)
+    fit = solve.fit_cell(observed.stack(observed.from_dataset(training)), effects)
     tested = [*out, *others]
     stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
     run = solve.replay_fit(stack, fit, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
