@@ -34,7 +34,8 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import LearnedLoad, learned_load
 from uavbatt.records import Flight, Route
-from uavbatt.scoring.scores import FlightScore, end_of_flight, pool
+from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.scoring.scores import FlightScore, pool
 from uavbatt.telemetry import read_log
 
 ROUTE, LEARNED, LOG = "ours, route", "ours, learned", "ours, log"

@@ -106,28 +106,38 @@ def diagnose(
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states, wear_sd)
-    searched = _search_settled(problem, file, without, tell)
-    if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
-        full = replace(problem, evidence=problem.evidence.believed_full)
-        searched = min(searched, _search_settled(full, file, without, tell), key=lambda s: s.best.total)
-    problem, unchanged, best, findings, singles = searched
+    searched = _search(problem, file, without, tell)
     tell("residual")
-    steady = all(f.steady for f in findings)
+    return _concluded(searched, file, without)
+
+
+class _SearchResult(NamedTuple):
+    """_SearchResult holds the refit without a new effect, the best refit, and the effects that it has."""
+
+    problem: Problem
+    unchanged: Refit
+    best: Refit
+    findings: list[FoundEffect]
+    singles: Trial
+
+
+def _concluded(searched: _SearchResult, file: BatteryFile, without: tuple[str, ...]) -> Diagnosis:
+    """Return the diagnosis of a finished search."""
+    problem, unchanged, best, findings, singles = searched
     misfit = left_per_number(problem, best)
     reasons = doubts(problem, file, findings, best, misfit)
-    effect_classes = tuple(class_of(problem, f, candidate_probability(misfit, reasons)) for f in findings)
-    if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
-        effect_classes = (start_class(problem, unchanged), *effect_classes)
-    if not steady:  # a value that differs between records is a suspect, not for a battery file
-        best = unchanged
-    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if effect_classes else "no_missing_effect"
-    after = residual.residuals(problem.evidence, at_best(problem, best))
+    probability = candidate_probability(misfit, reasons)
+    classes = _classes(searched, probability, without)
+    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if classes else "no_missing_effect"
     may_hide = small(problem, singles) if verdict == "no_missing_effect" else None
+    if may_hide is not None:
+        classes = (class_of(problem, may_hide, probability),)
+    if not all(f.steady for f in findings):  # a value that differs between records is a suspect, not for a battery file
+        best = unchanged
+    after = residual.residuals(problem.evidence, at_best(problem, best))
     return Diagnosis(
         verdict=verdict,
-        classes=effect_classes
-        if may_hide is None
-        else (class_of(problem, may_hide, candidate_probability(misfit, reasons)),),
+        classes=classes,
         reasons=reasons,
         problem=problem,
         before=unchanged,
@@ -142,12 +152,13 @@ def diagnose(
     )
 
 
-class _SearchResult(NamedTuple):
-    problem: Problem
-    nothing: Refit
-    best: Refit
-    findings: list[FoundEffect]
-    singles: Trial
+def _classes(searched: _SearchResult, probability: float, without: tuple[str, ...]) -> tuple[EffectClass, ...]:
+    """Return the classes of the effects that were found, before them the charge at the start if it was below full."""
+    problem, found = searched.problem, searched.findings
+    classes = tuple(class_of(problem, finding, probability) for finding in found)
+    if not problem.evidence.charged_in_part.any() or "initial_charge" in without:
+        return classes
+    return (start_class(problem, searched.unchanged), *classes)
 
 
 def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) -> list[Candidate]:
@@ -160,6 +171,20 @@ def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) ->
         idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
         without=(*without, *alone),
     )
+
+
+def _search(
+    problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
+) -> _SearchResult:
+    """Search for effects. Records that seem to begin below full are also tried as full; the better fit counts.
+
+    The voltage at the start may be wrong instead of the charge: the rest of the flight tells which.
+    """
+    searched = _search_settled(problem, file, without, tell)
+    if not problem.evidence.charged_in_part.any():
+        return searched
+    full = replace(problem, evidence=problem.evidence.believed_full)
+    return min(searched, _search_settled(full, file, without, tell), key=lambda one: one.best.total)
 
 
 def _search_settled(

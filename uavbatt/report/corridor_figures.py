@@ -230,7 +230,7 @@ def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: 
         f"({bases['quasi-replicates']}); dotted: one run ({bases['one run']}), no dispersion known."
     )
     alt = f"{name} over time at {len(measured)} ambient temperatures from {low:g} to {high:g} °C."
-    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=270), title, note)
+    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity]), title, note)
 
 
 def _spread(values: Sequence[float], count: int) -> list[float]:

@@ -163,5 +163,5 @@ def _stems(
     first, last = levels[0].time_s / 60.0, levels[-1].time_s / 60.0
     alt = f"Mandel's {letter} of the {name} for {len(samples)} samples at {count} instants."
     x = f"one stem an instant, {first:g} to {last:g} min"
-    chart = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=200)
+    chart = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=plot.LOW)
     return figure(chart, f"Mandel's {letter}: consistency of {means}, {name}", note)
