@@ -104,8 +104,8 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
     fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
     error = {s.name: fit.standard_error(s.name) for s in fit.slots}
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
-    # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
-    # ties the charge down again, so that half of it stays with the capacity.
+    # With an unmetered load, ohm·Ah and capacity are as uncertain as the C-rate: by the prior, 1.5 of 8 C. The time of
+    # the knee shows the charge, which halves the uncertainty of the capacity.
     unknown_rate = load.sd / load.prior
     names = [s.name for s in fit.slots]
     i, j = names.index("c_rate"), names.index("r0_ohmAh")

@@ -1,4 +1,4 @@
-"""The gate asks whether the model is equivalent to the tests, within limits declared for flight safety.
+"""The gate decides if the model is equivalent to the tests, within limits declared for flight safety.
 
 Two one-sided tests per instant: the interval of the bias (model minus mean of the held-out occasions) must lie inside
 ±limit. It is simultaneous over the instants and holds both the scatter of the occasions and what that scatter cannot

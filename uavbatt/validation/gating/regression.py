@@ -4,10 +4,10 @@
     p(t,T) = p₀ + p₁θ + p₂θ² + a·exp(-t/τ) - q₁s - q₂s²                              plateau
     V(t,T) = f + h·ln(1 + exp((p - d·w·ln(1 + exp((s-1)/w)) - f)/h))                 knee, then the limiter's floor
 
-t counts from the start of the load; before it the voltage is e₀. It knows neither current nor heat: it holds for the
-load of the tests and for nothing else. A rival to the circuit model, gated on the same held-out occasions; it does
-not ship. One-time curves that come from other series than the repeats have a level and a knee of their own, so that
-a step between series does not pass for an effect of temperature; where they divide is taken from all of them.
+t counts from the start of the load; before it the voltage is e₀. The model contains neither current nor heat: it holds
+for the load of the tests only. It is compared with the circuit model on the same held-out occasions, and does not ship.
+One-time curves of other series than the repeats have a level and a knee time of their own, so that a step between
+series does not look like an effect of temperature. The breaks between the series are found from all tests.
 """
 
 from __future__ import annotations
