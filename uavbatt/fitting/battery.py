@@ -21,7 +21,7 @@ from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import CellFit, OwnPrior
-from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt
+from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
 from uavbatt.records import Flight, PackFacts
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
@@ -96,7 +96,7 @@ def _file(
     size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    error = fit.standard_errors
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
         battery=Battery(
@@ -200,16 +200,12 @@ def _check_caller(
     cells: int | None, cutoff_V: float, series: int, datasets: list[DataSet], flights: list[Flight]
 ) -> None:
     """Raise UsageError if the stated cells do not fit the first voltages of a record, or the stated cut-off no cell."""
-    doubt = ending_doubt("--cutoff-voltage ", cutoff_V, series)
-    if doubt is not None and doubt.is_certain:
-        raise UsageError(doubt.words)
+    refuse_certain(ending_doubt("--cutoff-voltage ", cutoff_V, series))
     if cells is None:
         return
     firsts = [(str(d.path), FirstVoltages(d.first_V)) for d in datasets]
     for source, voltages in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
-        doubt = cells_doubt(cells, voltages, Resting())
-        if doubt is not None and doubt.is_certain:
-            raise UsageError(f"{source}: --cells: {doubt.words}")
+        refuse_certain(cells_doubt(cells, voltages, Resting()), f"{source}: --cells: ")
 
 
 def _first(values: list[float]) -> float:

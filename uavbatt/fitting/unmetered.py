@@ -57,7 +57,7 @@ def predict_unmetered(
 
     Returns [2, instants, batch].
     """
-    at = {s.name: i for i, s in enumerate(slots)}
+    at = prior.places(slots)
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
     start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
     cell = prior.cell(slots, x, effects)

@@ -183,6 +183,11 @@ def responsive(
     return together((element("div", narrow, css="narrow"), element("div", wide, css="wide")))
 
 
+def zero_line(axes: Axes) -> None:
+    """Draw the line of the value 0."""
+    axes.axhline(0.0, color=INK, linewidth=0.7)
+
+
 def legend_above(axes: Axes, columns: int) -> None:
     """Put the legend over the axes, out of the data's way."""
     axes.legend(

@@ -102,7 +102,7 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
     home = dataset.at(ambient_C)
     runs = [r for r in home if sum(q.sample == r.sample for q in home) > 1]
     fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    error = fit.standard_errors
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
     # With an unmetered load, ohm·Ah and capacity are as uncertain as the C-rate: by the prior, 1.5 of 8 C. The time of
     # the knee shows the charge, which halves the uncertainty of the capacity.
@@ -126,7 +126,7 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
 
 def _metered(dataset: DataSet) -> ShippedModel:
     fit = solve.fit_cell(observed.stack(observed.from_dataset(dataset)))
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    error = fit.standard_errors
     table = assemble.parameter_table(fit.slots, fit.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
     entries = assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS)
     return ShippedModel(table, entries, dataset.capacity_Ah, {})

@@ -77,6 +77,12 @@ class HeldOut:
         return out
 
     @property
+    def mean_V(self) -> Array:
+        """Return the mean of the measured voltages [V] at each level."""
+        out: Array = np.nanmean(self.measured_V, axis=(0, 1))
+        return out
+
+    @property
     def at_rest(self) -> NDArray[np.bool_]:
         """Return the marks of the instants before the load; unless `rest` tells them, of the one at 0 s."""
         return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
