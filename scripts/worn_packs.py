@@ -74,7 +74,7 @@ def score(folder: Path, battery: Path) -> None:
     from uavbatt.battery.battery_file import read_battery
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.scoring.scores import end_of_flight
+    from uavbatt.scoring.end_of_flight import end_of_flight
     from uavbatt.telemetry import read_log
 
     file, options = read_battery(battery), PackOptions(cells=CELLS, capacity_Ah=CAPACITY_AH, cutoff_V=CUTOFF_V)

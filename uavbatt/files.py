@@ -14,7 +14,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Literal, TextIO, overload
 
@@ -51,15 +51,20 @@ def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
         raise BadInput(target, "", "a file to write, found a directory")
     aside = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        file = aside.open(mode) if "b" in mode else aside.open(mode, encoding="utf-8", newline="")
-    except OSError as error:
-        raise BadInput(target, "", f"a place that can be written: {error.strerror}") from None
-    try:
-        with file:
+        with _opened(aside, mode, target) as file:
             yield file
         os.replace(aside, target)
-    finally:
-        aside.unlink(missing_ok=True)
+    finally:  # begins before the file is made: a signal may end the process in any line
+        with suppress(OSError):
+            aside.unlink()
+
+
+def _opened(aside: Path, mode: str, target: Path) -> IO[Any]:
+    """Open the temporary file. Raises BadInput, with the name of the target, if that is not possible."""
+    try:
+        return aside.open(mode) if "b" in mode else aside.open(mode, encoding="utf-8", newline="")
+    except OSError as error:
+        raise BadInput(target, "", f"a place that can be written: {error.strerror}") from None
 
 
 def no_file(path: Path) -> str:

@@ -51,6 +51,15 @@ class Doubt(NamedTuple):
     is_certain: bool
 
 
+def refuse_certain(doubt: Doubt | None, who: str = "") -> None:
+    """Raise UsageError with the words of a doubt that is certain; any other doubt is let pass.
+
+    who : the option or the file that states it, at the beginning of the message
+    """
+    if doubt is not None and doubt.is_certain:
+        raise UsageError(f"{who}{doubt.words}")
+
+
 class Resting(NamedTuple):
     """Resting holds the voltages [V] of a rested cell of the battery file's type, empty and with little charge left."""
 
@@ -215,9 +224,7 @@ def check_stated(
     lowest_V, highest_V = ENDING_CELL_V
     for name, volts in ((names.cutoff, cutoff_V), (names.low, low_V)):
         if cells is not None:
-            doubt = ending_doubt(name, _number(name, volts), cells)
-            if doubt is not None and doubt.is_certain:
-                raise UsageError(doubt.words)
+            refuse_certain(ending_doubt(name, _number(name, volts), cells))
         elif not math.isnan(_number(name, volts)) and not lowest_V <= volts <= highest_V * MOST_CELLS:
             slip = " (millivolts?)" if volts > highest_V * MOST_CELLS else ""
             raise UsageError(f"{name}{volts:g} V: expected {lowest_V:g} to {highest_V:g} V for each cell{slip}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from uavbatt.errors import BadInput
 from uavbatt.records import Flight
-from uavbatt.scoring.scores import end_of_flight
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log
 
 M100_CELLS, M100_CUTOFF_V, M100_LOADED_A = 6, 21.6, 8.0

@@ -23,7 +23,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery
-from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
@@ -87,14 +87,14 @@ def fitted(data: Path) -> Iterator[Set]:
     for aircraft in sorted({path.stem[-3:] for path in logs}):
         others = [flight for path, flight in logs.items() if not path.stem.endswith(aircraft)]
         battery = fit_battery(RecordedPack("without", M100_CELLS, RATED_AH, M100_CUTOFF_V), [], others).file
-        load = learned_load(vehicle_file("without", others, battery, M100_PACK))
+        load = learned_load(fit_vehicle("without", others, battery, M100_PACK))
         own = tuple(path for path in logs if path.stem.endswith(aircraft))
         tables = tuple(data / "flights/m100" / f"{path.stem}.csv" for path in own)
         yield Set("M100, fitted", tables, battery, load, M100_PACK, {})
         yield Set("M100 with routes, fitted", own, battery, load, M100_PACK, {})
     battery = truth_battery(data)
     learn = [read_log(path) for path in _paths(data, ("missions/learn/*.tlog",))]
-    load, practice = learned_load(vehicle_file("learn", learn, battery, TRUTH_PACK)), ("missions/practice/*.tlog",)
+    load, practice = learned_load(fit_vehicle("learn", learn, battery, TRUTH_PACK)), ("missions/practice/*.tlog",)
     yield Set("missions, fitted", _paths(data, practice), battery, load, TRUTH_PACK, _mission_ends_s(data))
     packs = _paths(data, ("packs/practice/*/flight_*.tlog",))
     yield Set("packs, fitted battery", packs, battery, UnknownAircraft(), TRUTH_PACK, _pack_ends_s(data))

@@ -17,7 +17,7 @@ from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import RecordedPack, fit_battery
-from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
@@ -53,7 +53,7 @@ def fold(flights: list[M100], aircraft: str) -> Fold:
     others = [f for f in flights if f.aircraft != aircraft]
     size = RecordedPack(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
     battery = fit_battery(size, [], [f.flight for f in others]).file
-    learned = learned_load(vehicle_file(size.name, [f.flight for f in others], battery, OPTIONS))
+    learned = learned_load(fit_vehicle(size.name, [f.flight for f in others], battery, OPTIONS))
     peers = calibrated(M100_CELLS, RATED_AH, [(f.flight, f.end_s) for f in ended(others)], PX4_SET)
     return Fold(aircraft, battery, learned, peers)
 

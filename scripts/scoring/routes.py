@@ -28,13 +28,14 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery
-from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import LearnedLoad, learned_load
 from uavbatt.records import Flight, Route
-from uavbatt.scoring.scores import FlightScore, end_of_flight, pool
+from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.scoring.scores import FlightScore, pool
 from uavbatt.telemetry import read_log
 
 ROUTE, LEARNED, LOG = "ours, route", "ours, learned", "ours, log"
@@ -105,7 +106,7 @@ def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]
         battery = fit_battery(size, [], others).file
         emptied = [(flight, end_s) for flight in others if math.isfinite(end_s := _m100_span_s(flight)[1])]
         peers = calibrated(M100_CELLS, RATED_AH, emptied, PX4_SET)
-        known = Known(battery, pack, learned_load(vehicle_file(size.name, others, battery, pack)), peers)
+        known = Known(battery, pack, learned_load(fit_vehicle(size.name, others, battery, pack)), peers)
         for name in (name for name in logs if name.endswith(aircraft)):
             span_s = _m100_span_s(logs[name])
             if not math.isfinite(span_s[1]):
@@ -136,7 +137,7 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
     answers = data / "missions/answers"
     emptied = [(f, end_s) for f in learn if (end_s := _answer(answers, Path(f.source).stem)["end_s"]) is not None]
     peers = calibrated(truth.CELLS, truth.CAPACITY_AH, emptied)
-    known = Known(battery, pack, learned_load(vehicle_file("learn", learn, battery, pack)), peers)
+    known = Known(battery, pack, learned_load(fit_vehicle("learn", learn, battery, pack)), peers)
     missions, scores = [], dict[str, list[FlightScore]]()
     for path in sorted((data / "missions/practice").glob("*.tlog")):
         say(f"routes: {path.stem}")

@@ -20,7 +20,7 @@ from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight
-from uavbatt.scoring.scores import end_of_flight
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2

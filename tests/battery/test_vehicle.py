@@ -21,7 +21,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
-from uavbatt.fitting.vehicle import GRID_S, speeds, trace, vehicle_file
+from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, speeds, trace
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
@@ -40,7 +40,7 @@ def flight(seed: int = 1) -> Flight:
 
 @cache
 def learned() -> VehicleFile:
-    return vehicle_file(
+    return fit_vehicle(
         "quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read_battery("lipo-generic"), OPTIONS
     )
 
@@ -124,9 +124,9 @@ def test_too_short_to_learn_from() -> None:
     short = Flight("hop", "csv", flight().samples[:100])
     assert trace(short, battery_file.read_battery("lipo-generic"), OPTIONS) is None
     with pytest.raises(NotEnoughData, match="quad: none of 1 logs holds 120 s") as caught:
-        vehicle_file("quad", [short], battery_file.read_battery("lipo-generic"), OPTIONS)
+        fit_vehicle("quad", [short], battery_file.read_battery("lipo-generic"), OPTIONS)
     assert caught.value.exit_code == 4
-    both = vehicle_file("quad", [short, flight()], battery_file.read_battery("lipo-generic"), OPTIONS)
+    both = fit_vehicle("quad", [short, flight()], battery_file.read_battery("lipo-generic"), OPTIONS)
     assert len(both.traces) == 1
 
 
@@ -134,7 +134,7 @@ def test_a_pack_that_nothing_was_drawn_from_did_not_fly() -> None:
     idle = Flight("bench", "csv", tuple(Sample(float(t), 16.0, 0.0, armed=True) for t in range(300)))
     assert trace(idle, battery_file.read_battery("lipo-generic"), OPTIONS) is None
     with pytest.raises(NotEnoughData, match="none of 1 logs"):
-        vehicle_file("quad", [idle], battery_file.read_battery("lipo-generic"), OPTIONS)
+        fit_vehicle("quad", [idle], battery_file.read_battery("lipo-generic"), OPTIONS)
 
 
 def test_a_speed_that_no_vehicle_file_may_hold_is_not_learned() -> None:

@@ -149,7 +149,7 @@ def test_a_wrong_call_of_follow_is_said_in_one_line(
 
 
 def test_the_ledger_tells_which_flights_are_of_the_pack_and_their_order(logs: list[Path], tmp_path: Path) -> None:
-    from uavbatt.cli.diagnose_follow import FollowOptions, _in_order
+    from uavbatt.cli.diagnose_follow import _in_order
     from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.records import FlightEvidence, FlightRecord
     from uavbatt.packs.remembering import key_of
@@ -171,5 +171,5 @@ def test_the_ledger_tells_which_flights_are_of_the_pack_and_their_order(logs: li
                 900.0,
             )
             ledger.save("A1", record)
-    ordered = _in_order(flights, FollowOptions(None, (), packs, "A1"))
+    ordered = _in_order(flights, packs, "A1")
     assert [f.source for f in ordered] == [f.source for f in reversed(flights)]

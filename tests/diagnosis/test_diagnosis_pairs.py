@@ -16,7 +16,8 @@ from uavbatt.diagnosis import pairs
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.candidates import NOTHING, Candidate
 from uavbatt.diagnosis.classes import class_of
-from uavbatt.diagnosis.diagnosis import FAR, floor_V, options_of, problem_of, times_expected
+from uavbatt.diagnosis.diagnosis import options_of, problem_of
+from uavbatt.diagnosis.misfit import FAR, floor_V, times_expected
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.residual import residuals
@@ -70,7 +71,7 @@ def test_a_pair_that_lacks_the_worthiest_effect_is_no_pair(
     monkeypatch.setattr(pairs, "refit", lambda *_, start, **__: start)
     monkeypatch.setattr(pairs, "worth", lambda *_: worth_of(beside_them))
     two = [named("temperature_offset", "capacity_fade"), named("current_delay", "capacity_fade")]
-    left = pairs.whole(problem(25.0), two, singles)
+    left = pairs.complete(problem(25.0), two, singles)
     assert left == two[1 - kept :]
 
 

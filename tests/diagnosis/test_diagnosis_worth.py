@@ -15,16 +15,8 @@ from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
-from uavbatt.diagnosis.diagnosis import (
-    LEFT,
-    USUAL,
-    Diagnosis,
-    MisfitPerNumber,
-    candidate_probability,
-    diagnose,
-    options_of,
-    problem_of,
-)
+from uavbatt.diagnosis.diagnosis import Diagnosis, candidate_probability, diagnose, options_of, problem_of
+from uavbatt.diagnosis.misfit import LEFT, USUAL, MisfitPerNumber
 from uavbatt.diagnosis.rivals import FAMILIES, members_of_class
 from uavbatt.diagnosis.search import SUSPECT, no_chance
 from uavbatt.diagnosis.trial import Trial

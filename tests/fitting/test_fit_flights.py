@@ -46,8 +46,8 @@ def flights(every: int) -> list[Flight]:
 
 
 @cache
-def found(every: int) -> solve.BatteryFit:
-    return solve.fit_battery(
+def found(every: int) -> solve.CellFit:
+    return solve.fit_cell(
         observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.ALIKE
     )
 

@@ -63,9 +63,9 @@ def records() -> tuple[ObservedRecord, ...]:
 
 
 @cache
-def found() -> tuple[solve.BatteryFit, observed.Stack]:
+def found() -> tuple[solve.CellFit, observed.Stack]:
     stacked = stack(list(records()))
-    return solve.fit_battery(stacked), stacked
+    return solve.fit_cell(stacked), stacked
 
 
 def test_what_was_planted_comes_back() -> None:
@@ -125,7 +125,7 @@ def test_the_misfit_is_told_for_the_pack_that_the_file_is_of() -> None:
     """Tests of a 3S pack in a file of a 6S one: twice the volts."""
     fit, _ = found()
     tests = patch.object(observed, "from_dataset", return_value=list(records()))
-    with tests, patch.object(solve, "fit_battery", return_value=fit):
+    with tests, patch.object(solve, "fit_cell", return_value=fit):
         fits = [fit_battery(RecordedPack("x", n, 4.0, 3.3 * n), [dataset.load()], []).file.discrepancy for n in (3, 6)]
     wanders = [left.wander for left in fits if left.wander is not None]
     three, six = ([f.voltage_bias_V, *w.voltage_sd_V, w.voltage_noise_V, w.rest_sd_V]

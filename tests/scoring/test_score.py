@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from uavbatt.scoring import metrics
-from uavbatt.scoring.scores import FlightScore, end_of_flight, pool, score_flight
+from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.scoring.scores import FlightScore, pool, score_flight
 
 NAN = math.nan
 Z90 = metrics.Z90

@@ -21,7 +21,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
-from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
@@ -190,7 +190,7 @@ def test_a_library_that_scatters_widens() -> None:
     widths = {}
     for scatter in (0.05, 0.25):
         past = [flown(30 + k, 280.0 * math.exp(scatter * z)) for k, z in enumerate(spread)]
-        load = learned_load(vehicle_file("quad", past, known_pack(), OPTIONS))
+        load = learned_load(fit_vehicle("quad", past, known_pack(), OPTIONS))
         run = replayed(flown(), known_pack(), load)
         widths[scatter] = [width_s(at(run, flown(), share)) for share in (0.3, 0.5)]
     assert np.mean(widths[0.25]) > 1.2 * np.mean(widths[0.05])

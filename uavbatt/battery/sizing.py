@@ -33,6 +33,7 @@ from uavbatt.limits import (
     cells_from_voltage,
     check_stated,
     ending_doubt,
+    refuse_certain,
 )
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts
@@ -193,9 +194,8 @@ def checked(battery: BatteryFile, pack: PackSize, voltages: FirstVoltages) -> Pa
     """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
     if pack.refusal:
         raise UsageError(pack.refusal)
-    doubt = cells_doubt(pack.cells, voltages, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
-    if doubt is not None and doubt.is_certain:
-        raise UsageError(f"{pack.cells_from}: {doubt.words}")
+    if pack.cells_from in CALLERS_CELLS:
+        refuse_certain(cells_doubt(pack.cells, voltages, resting(battery)), f"{pack.cells_from}: ")
     return pack
 
 

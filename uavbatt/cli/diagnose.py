@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavbatt.cli.diagnose_records import (
+    DiagnoseOptions,
     ProgressLine,
     distinct,
     flown_size,
@@ -26,12 +26,12 @@ from uavbatt.cli.options import (
     PackOption,
     PacksOption,
     ReportOption,
+    ResultFiles,
     UncertifiedOption,
     check_named,
     check_writable,
     read_battery,
     remark,
-    say,
     stated_pack,
 )
 from uavbatt.errors import UsageError
@@ -39,7 +39,6 @@ from uavbatt.records import Flight
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
     from uavbatt.cli.diagnose_worn import BasePack
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import ClosedLoop
@@ -78,44 +77,28 @@ def diagnose(
 
     Example: uavbatt diagnose flight.BIN --battery mypack.battery.toml --report why.html
     """
-    from uavbatt import dataset as data
-    from uavbatt.battery import battery_file
-    from uavbatt.files import write_json
-    from uavbatt.telemetry import read_log
-
     check_named(output)
     check_writable(json_file, report, output, reads=[*sources, packs])
     _check_effects(without or [])
-    content = read_battery(battery, allow_uncertified)
-    stated = stated_pack(cells, capacity_ah, cutoff_voltage)
-    if follow:
-        from uavbatt.cli.diagnose_follow import FollowOptions, follow_and_tell
-
-        if gate is not None or output is not None:
-            raise UsageError(
-                "--follow: expected neither --gate nor -o: it finds when an effect began and writes no battery file"
-            )
-        options = FollowOptions(instance, tuple(without or ()), packs, pack)
-        follow_and_tell(sources, content, stated, options, json_file, report)
+    options = DiagnoseOptions(
+        battery=read_battery(battery, allow_uncertified),
+        pack=stated_pack(cells, capacity_ah, cutoff_voltage),
+        without=tuple(without or ()),
+        instance=instance,
+        ledger=packs,
+        pack_name=pack,
+    )
+    files = ResultFiles(json_file, report)
+    if not follow:
+        _diagnose_and_tell(sources, options, gate, files, output)
         return
-    datasets = [data.load(p) for p in sources if p.is_dir()]
-    flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])
-    with reason_written(json_file):
-        found, closed, new, base = _run(content, datasets, flights, stated, tuple(without or ()), gate, (packs, pack))
-    path = str(battery_file.write_battery(new, output)) if output is not None else None
-    for line in [*_lines(found, closed), *([f"  {base.words}"] if base.words else [])]:
-        say(line, json_file, report)
-    if json_file is not None:
-        wear = {"pack": base.words} if base.words else {}
-        write_json(json_file, {**_as_json(found, closed, content.status, path), **wear})
-    if report is not None:
-        from uavbatt.report.diagnosis import diagnosis_report
-        from uavbatt.report.page import write_page
+    from uavbatt.cli.diagnose_follow import follow_and_tell
 
-        write_page(report, diagnosis_report(found, closed, content, new))
-        say(f"report: {report}", json_file, report)
-    if path is not None:
-        say(f"{path}: {new.certificate.status}", json_file, report)
+    if gate is not None or output is not None:
+        raise UsageError(
+            "--follow: expected neither --gate nor -o: it finds when an effect began and writes no battery file"
+        )
+    follow_and_tell(sources, options, files)
 
 
 def _check_effects(names: list[str]) -> None:
@@ -127,15 +110,38 @@ def _check_effects(names: list[str]) -> None:
         raise UsageError(f"--without {unknown}: expected one of {', '.join(EFFECTS)}")
 
 
+def _diagnose_and_tell(
+    sources: list[Path], options: DiagnoseOptions, gate: Path | None, files: ResultFiles, output: Path | None
+) -> None:
+    """Diagnose the records, print the result, and write the files that are wanted; `output` is the extended file."""
+    from uavbatt import dataset as data
+    from uavbatt.battery import battery_file
+    from uavbatt.cli.diagnose_text import as_json, lines
+    from uavbatt.telemetry import read_log
+
+    datasets = [data.load(p) for p in sources if p.is_dir()]
+    flights = distinct([read_log(p, options.instance) for p in sources if not p.is_dir()])
+    with reason_written(files):
+        found, closed, new, base = _run(datasets, flights, options, gate)
+    path = str(battery_file.write_battery(new, output)) if output is not None else None
+    for line in [*lines(found, closed), *([f"  {base.words}"] if base.words else [])]:
+        files.say(line)
+    wear = {"pack": base.words} if base.words else {}
+    files.write_json({**as_json(found, closed, options.battery.status, path), **wear})
+    if files.page is not None:
+        from uavbatt.report.diagnosis import diagnosis_report
+        from uavbatt.report.page import write_page
+
+        write_page(files.page, diagnosis_report(found, closed, options.battery, new))
+        files.say(f"report: {files.page}")
+    if path is not None:
+        files.say(f"{path}: {new.certificate.status}")
+
+
 def _run(
-    content: BatteryFile,
-    datasets: list[DataSet],
-    flights: list[Flight],
-    stated: PackOptions,
-    without: tuple[str, ...],
-    gate: Path | None,
-    remembered: tuple[Path | None, str],
+    datasets: list[DataSet], flights: list[Flight], options: DiagnoseOptions, gate: Path | None
 ) -> tuple[Diagnosis, ClosedLoop, BatteryFile, BasePack]:
+    """Return the diagnosis, the errors before and after it, the extended battery file, and the pack it began with."""
     from uavbatt import dataset as data
     from uavbatt.battery.sizing import PackOptions, pack_from
     from uavbatt.cli.diagnose_worn import base_pack
@@ -145,82 +151,20 @@ def _run(
     from uavbatt.fitting import observed
     from uavbatt.log_replay.run import engine_for
 
+    content, stated = options.battery, options.pack
     tests = data.load(gate) if gate is not None else None
     sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}
     series, capacity_Ah, cutoff_V = one_size(sizes)
     records: list[ObservedRecord] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
     records += [observed_of(f, series, capacity_Ah) for f in flights]
-    options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
-    base = base_pack(*remembered, flights, content, pack_from(content, options))
+    size = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
+    base = base_pack(options.ledger, options.pack_name, flights, content, pack_from(content, size))
     with ProgressLine() as tell:
         engine = engine_for(is_long=True)
-        found = find(records, content, base.pack, without, tell, engine, base.wear_sd)
-        closed = close.judge(found, base.file, flights, options, tell, engine)
+        found = find(records, content, base.pack, options.without, tell, engine, base.wear_sd)
+        closed = close.judge(found, base.file, flights, size, tell, engine)
     new = close.extended(content, found, closed.worse)
     if tests is not None:
         remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
     return found, closed, new, base
-
-
-def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
-    from uavbatt.battery.effects import unit_words
-    from uavbatt.diagnosis.words import MEANING
-
-    said = {
-        "no_missing_effect": "nothing is missing: the residual is no larger than this model's known error",
-        "effect_found": f"{len(found.classes)} effects are missing together"
-        if found.classes[1:]
-        else "an effect is missing",
-        "undeclared_effect": "something is missing that no candidate explains",
-    }
-    lines = [f"{found.verdict}: {said[found.verdict]}"]
-    if found.may_hide:
-        lines.append("  if a small effect is missing nevertheless, it is most likely this one:")
-    for one in found.classes:
-        lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
-        for name, i in one.parameters.items():
-            lines.append(f"    {name} = {i.value:.4g} [{i.lo:.4g}, {i.hi:.4g}] {unit_words(i.unit)}".rstrip())
-        lines.append(f"    check: {one.would_separate}")
-    lines += [f"  doubt: {reason}" for reason in found.reasons]
-    if found.blocks:
-        told = ", ".join(f"{b.name} {b.saved:.0f}" for b in found.blocks)
-        lines.append(f"  evidence (chi-square saved): {told}")
-    if found.hidden:
-        lines.append("  sizes that could be hidden in these records (95 %):")
-        lines += [
-            f"    {h.name}: {h.quantity} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden
-        ]
-    if not found.problem.evidence.has_temperature:
-        lines.append("  no temperature: effects that show only in it are not among the candidates")
-    b, a = closed.before, closed.after
-    lines.append(
-        f"  held out: voltage RMSE {1000 * b.voltage_rmse_V:.0f} -> {1000 * a.voltage_rmse_V:.0f} mV, remaining time "
-        f"MAE {_number(b.remaining_mae_s)} -> {_number(a.remaining_mae_s)} s"
-    )
-    if closed.worse:
-        lines.append(f"  held-out records are predicted worse with it ({closed.worse}): do the check before you use it")
-    return lines
-
-
-def _number(value: float) -> str:
-    return f"{value:.0f}" if math.isfinite(value) else "unknown"
-
-
-def _as_json(found: Diagnosis, closed: ClosedLoop, status: str, path: str | None) -> dict[str, Any]:
-    """Return the diagnosis for JSON, in which NaN becomes null."""
-    from dataclasses import asdict
-
-    return {
-        "verdict": found.verdict,
-        "classes": [asdict(c) for c in found.classes],
-        "reasons": list(found.reasons),
-        "before": asdict(closed.before),
-        "after": asdict(closed.after),
-        "held_out": list(closed.held_out),
-        "left": asdict(found.left),
-        "evidence": {b.name: b.saved for b in found.blocks},
-        "hidden": [asdict(h) for h in found.hidden],
-        "certificate_status": status,
-        "battery_file": path,
-    }

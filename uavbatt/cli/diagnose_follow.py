@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.cli.diagnose_records import ProgressLine, distinct, flown_size, observed_of, one_size, reason_written
-from uavbatt.cli.options import remark, say
+from uavbatt.cli.diagnose_records import (
+    DiagnoseOptions,
+    ProgressLine,
+    distinct,
+    flown_size,
+    observed_of,
+    one_size,
+    reason_written,
+)
+from uavbatt.cli.options import ResultFiles, remark
 from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.records import Flight
@@ -22,44 +29,24 @@ if TYPE_CHECKING:
     from uavbatt.packs.ledger import Ledger
 
 
-@dataclass(frozen=True, slots=True)
-class FollowOptions:
-    """FollowOptions says which flights to follow, and which effects to leave out."""
-
-    instance: int | None
-    without: tuple[str, ...]
-    packs: Path | None
-    pack: str
-
-
-def follow_and_tell(
-    sources: Sequence[Path],
-    content: BatteryFile,
-    stated: PackOptions,
-    asked: FollowOptions,
-    json_file: Path | None,
-    report: Path | None,
-) -> None:
+def follow_and_tell(sources: Sequence[Path], options: DiagnoseOptions, files: ResultFiles) -> None:
     """Follow the flights and write the result. Raises NotEnoughData with the reason, which is also in the JSON."""
-    from uavbatt.files import write_json
-
-    flights = _in_order(_read(sources, asked), asked)
-    with reason_written(json_file):
-        found = _follow(flights, content, stated, asked.without)
+    flights = _in_order(_read(sources, options.instance), options.ledger, options.pack_name)
+    with reason_written(files):
+        found = _follow(flights, options.battery, options.pack, options.without)
     dates = _dates(found, flights)
     for line in _lines(found, dates):
-        say(line, json_file, report)
-    if json_file is not None:
-        write_json(json_file, _as_json(found, dates, content.status))
-    if report is not None:
+        files.say(line)
+    files.write_json(_as_json(found, dates, options.battery.status))
+    if files.page is not None:
         from uavbatt.report.follow import follow_report
         from uavbatt.report.page import write_page
 
-        write_page(report, follow_report(found, dates, content.battery.name))
-        say(f"report: {report}", json_file, report)
+        write_page(files.page, follow_report(found, dates, options.battery.battery.name))
+        files.say(f"report: {files.page}")
 
 
-def _read(sources: Sequence[Path], asked: FollowOptions) -> list[Flight]:
+def _read(sources: Sequence[Path], instance: int | None) -> list[Flight]:
     """Read the logs that are named, and those in folders, each once."""
     from uavbatt.fleet.logs import find_logs
     from uavbatt.telemetry import read_log
@@ -69,16 +56,16 @@ def _read(sources: Sequence[Path], asked: FollowOptions) -> list[Flight]:
         if (source / "battery.toml").exists():
             raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
         paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
-    return distinct([read_log(path, asked.instance) for path in dict.fromkeys(paths)])
+    return distinct([read_log(path, instance) for path in dict.fromkeys(paths)])
 
 
-def _in_order(flights: list[Flight], asked: FollowOptions) -> list[Flight]:
+def _in_order(flights: list[Flight], packs: Path | None, pack: str) -> list[Flight]:
     """Return the flights in order of time: by the ledger, else by the logs' clocks, else as they were named."""
-    if asked.packs is not None and not asked.pack:
+    if packs is not None and not pack:
         raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
-    with open_memory(asked.packs, asked.pack, only_read=True) as memory:
+    with open_memory(packs, pack, only_read=True) as memory:
         if memory.ledger is not None:
-            return _of_the_ledger(flights, memory.ledger, asked.pack)
+            return _of_the_ledger(flights, memory.ledger, pack)
     starts = [f.identity.start_utc_s for f in flights]
     if all(math.isfinite(s) for s in starts):
         return sorted(flights, key=lambda f: f.identity.start_utc_s)

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,22 +17,36 @@ from uavbatt.records import Flight, PackFacts
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.cli.options import ResultFiles
     from uavbatt.dataset import DataSet
     from uavbatt.fitting.observed import ObservedRecord
 
 Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
 
-@contextmanager
-def reason_written(json_file: Path | None) -> Iterator[None]:
-    """Write the reason to the JSON if the block raises NotEnoughData, and raise it again."""
-    from uavbatt.files import write_json
+@dataclass(frozen=True, slots=True)
+class DiagnoseOptions:
+    """DiagnoseOptions holds the settings of a diagnosis: battery file, pack, and how the logs are read.
 
+    pack : as stated by the options; without : effects to leave out; instance : of the battery in a log
+    ledger : the file of --packs; pack_name : of --pack, empty if it is not given
+    """
+
+    battery: BatteryFile
+    pack: PackOptions
+    without: tuple[str, ...]
+    instance: int | None
+    ledger: Path | None
+    pack_name: str
+
+
+@contextmanager
+def reason_written(files: ResultFiles) -> Iterator[None]:
+    """Write the reason to the JSON if the block raises NotEnoughData, and raise it again."""
     try:
         yield
     except NotEnoughData as error:
-        if json_file is not None:
-            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
+        files.write_json({"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
 
 

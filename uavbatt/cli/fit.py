@@ -26,6 +26,8 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
+    from uavbatt.dataset import DataSet
+    from uavbatt.fitting.battery import FittedBattery
     from uavbatt.records import Flight
 
 
@@ -48,9 +50,6 @@ def fit(
     """
     from uavbatt import dataset
     from uavbatt.battery import battery_file
-    from uavbatt.battery.statements import check_statements, check_whole
-    from uavbatt.fitting.battery import fit_battery, size_of
-    from uavbatt.limits import Resting
 
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
@@ -62,22 +61,11 @@ def fit(
     flights = [asked_flight(path, instance, join, system) for path in sources if not path.is_dir()]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
-        content = read_battery(battery, allow_uncertified)
-        for flight in flights:
-            check_statements(content, stated, flight)
+        content = _known(read_battery(battery, allow_uncertified), flights, stated)
     else:
-        name = (output or vehicle or Path("fitted")).name.split(".")[0]
-        size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
-        for flight in flights:
-            check_whole(flight, size.pack_size, Resting())
-        for notice in size.notices:
-            remark(f"warning: {notice}")
-        remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
-        found = fit_battery(size, datasets, flights)
+        found = _fitted((output or vehicle or Path("fitted")).name.split(".")[0], datasets, flights, stated)
         content = found.file
-        told = [f"  {line}" for line in found.known]
-        told += [f"doubtful: {line}" for line in found.doubtful] + [f"not determined: {line}" for line in found.unknown]
-        for line in told if output is not None else []:  # these lines are about the battery file
+        for line in _findings(found) if output is not None else []:  # they are about the battery file
             say(line)
     if output is not None:
         say(f"{battery_file.write_battery(content, output)}: fitted to {content.discrepancy.source}; not certified")
@@ -85,13 +73,43 @@ def fit(
         say(_vehicle(vehicle, content, flights, stated))
 
 
+def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> BatteryFile:
+    """Return the battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
+    from uavbatt.battery.statements import check_statements
+
+    for flight in flights:
+        check_statements(battery, stated, flight)
+    return battery
+
+
+def _fitted(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> FittedBattery:
+    """Return the fit of a battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
+    from uavbatt.battery.statements import check_whole
+    from uavbatt.fitting.battery import fit_battery, size_of
+    from uavbatt.limits import Resting
+
+    size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
+    for flight in flights:
+        check_whole(flight, size.pack_size, Resting())
+    for notice in size.notices:
+        remark(f"warning: {notice}")
+    remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
+    return fit_battery(size, datasets, flights)
+
+
+def _findings(found: FittedBattery) -> list[str]:
+    """Return in words what the records tell about the battery, what is doubtful, and what they do not tell."""
+    known, doubtful = [f"  {line}" for line in found.known], [f"doubtful: {line}" for line in found.doubtful]
+    return known + doubtful + [f"not determined: {line}" for line in found.unknown]
+
+
 def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:
     from uavbatt.battery import vehicle_file
-    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.fitting.vehicle import fit_vehicle
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
-    learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
+    learned = fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
     vehicle_file.write_vehicle(learned, path)
     phases = learned.phases
     return (

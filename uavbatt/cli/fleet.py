@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from uavbatt.fleet.row import FlightRow
     from uavbatt.fleet.run import FinishedLog, Workers
 
+    Crew = Callable[[], AbstractContextManager[Workers[Any]]]
+
 PAGE = "fleet.html"
 MOST_REASONS = 5
 
@@ -89,17 +91,12 @@ def fleet(
     check_extra(scheduler)
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.logs import JOURNAL, find_logs
-    from uavbatt.fleet.processes import check_workers
+    from uavbatt.fleet.logs import find_logs
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.prediction.load_options import check_word
 
-    if workers is not None and scheduler is not None:
-        raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
-    check_workers(workers)
+    _check_workers(workers, scheduler)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    check_join(instance, join)
-    check_word(load)
+    _check_words(instance, join, load)
     job = Job(
         battery=read_battery(battery, allow_uncertified),
         options=options,
@@ -112,9 +109,31 @@ def fleet(
         aircraft_pattern=_pattern(aircraft),
     )
     found = find_logs(logs, exclude or ())
+    processes = min(workers or len(os.sched_getaffinity(0)), len(found))
+    _replay_and_tell(found, job, output, packs, lambda: run.connected(processes, scheduler))
 
-    def crew() -> AbstractContextManager[Workers[Any]]:
-        return run.connected(min(workers or len(os.sched_getaffinity(0)), len(found)), scheduler)
+
+def _check_workers(workers: int | None, scheduler: str | None) -> None:
+    """Raise UsageError if there cannot be so many processes, or for processes beside a cluster."""
+    from uavbatt.fleet.processes import check_workers
+
+    if workers is not None and scheduler is not None:
+        raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
+    check_workers(workers)
+
+
+def _check_words(instance: int | None, join: str, load: str) -> None:
+    """Raise UsageError for an unknown --join or --load, before the first log is read."""
+    from uavbatt.prediction.load_options import check_word
+
+    check_join(instance, join)
+    check_word(load)
+
+
+def _replay_and_tell(found: list[LogFile], job: Job, output: Path, packs: Path | None, crew: Crew) -> None:
+    """Replay the logs that are new or changed, write tables and page, and print the result; `crew` connects workers."""
+    from uavbatt.fleet import run
+    from uavbatt.fleet.logs import JOURNAL
 
     met, told = _health_before_each(packs, crew, found, job, output) if packs is not None else ([], "")
     flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")
@@ -124,7 +143,10 @@ def fleet(
 
 
 def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> int:
-    """Work off the logs with a progress bar; return how many were done in this run."""
+    """Process the logs with a progress bar; return how many were done in this run.
+
+    journal : the file with the rows of earlier runs; what : the word beside the bar
+    """
     count = 0
     with _progress(what) as show:
         for one in finished:
@@ -136,7 +158,7 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
 
 
 def _health_before_each(
-    packs: Path, crew: Callable[[], AbstractContextManager[Workers[Any]]], found: list[LogFile], job: Job, output: Path
+    packs: Path, crew: Crew, found: list[LogFile], job: Job, output: Path
 ) -> tuple[list[RememberedPack], str]:
     """Fill the ledger in a first pass; return the pack's health before each log, and a line for the user."""
     from uavbatt.fleet import ledger as fleet_ledger

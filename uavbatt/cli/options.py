@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -17,7 +17,6 @@ from uavbatt.records import NAN
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.navigation import Wind
 
 STANDARD_OUTPUT = Path("-")
 
@@ -66,11 +65,7 @@ PacksOption = Annotated[
     Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger (SQLite); made if missing.")
 ]
 PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; default: its serial.")]
-WindOption = Annotated[
-    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="6@270 is a wind of 6 m/s from west.")
-]
 DEFAULT_BATTERY = "lipo-generic"
-FASTEST_WIND_MS = 100.0
 
 
 def positive_or_nan(value: float | None, option: str) -> float:
@@ -80,20 +75,6 @@ def positive_or_nan(value: float | None, option: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise UsageError(f"{option} {value}: expected a positive number")
     return value
-
-
-def stated_wind(text: str) -> Wind:
-    """Return the wind of `SPEED@FROM_DEG` [m/s, degrees from north, where it comes from]. Raises UsageError if bad."""
-    from uavbatt.navigation import Wind
-
-    speed, at, bearing = text.partition("@")
-    try:
-        speed_ms, from_rad = float(speed), math.radians(float(bearing))
-    except ValueError:
-        speed_ms, from_rad = NAN, NAN
-    if not (at and 0.0 <= speed_ms <= FASTEST_WIND_MS and math.isfinite(from_rad)):
-        raise UsageError(f"--wind {text}: expected SPEED@FROM_DEG, as 6@270 (6 m/s from the west)")
-    return Wind(-speed_ms * math.cos(from_rad), -speed_ms * math.sin(from_rad))
 
 
 def stated_pack(
@@ -163,6 +144,24 @@ def say(line: str, *outputs: Path | None) -> None:
         typer.echo(terminal_line(line), err=is_data)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if is_data else sys.stdout).fileno())
+
+
+class ResultFiles(NamedTuple):
+    """ResultFiles names the files of a result beside its text: JSON and an HTML page; None if not wanted."""
+
+    json: Path | None
+    page: Path | None
+
+    def say(self, line: str) -> None:
+        """Print a line for the user, as the function `say` does."""
+        say(line, *self)
+
+    def write_json(self, content: Any, indent: int = 2) -> None:
+        """Write the content of the JSON file, if it is wanted."""
+        from uavbatt.files import write_json
+
+        if self.json is not None:
+            write_json(self.json, content, indent)
 
 
 def remark(line: str) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from uavbatt.cli import pack_memory
 from uavbatt.cli.logs import InstanceOption
+from uavbatt.cli.missions import WindOption, check_wind
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     AmbientOption,
@@ -22,15 +23,15 @@ from uavbatt.cli.options import (
     PacksOption,
     ReportOption,
     ReserveOption,
+    ResultFiles,
     UncertifiedOption,
     check_writable,
     number_option,
     positive_or_nan,
     read_battery,
-    say,
     stated_pack,
 )
-from uavbatt.cli.plan_mission import plan_mission
+from uavbatt.cli.plan_mission import plan_and_tell, planned_mission
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.output import clock
 
@@ -52,9 +53,7 @@ def plan(
     mission: Annotated[
         Path | None, typer.Option("--mission", help="With --vehicle: does this .waypoints or .plan file fit?")
     ] = None,
-    wind: Annotated[
-        str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG, 6@270 is 6 m/s from west.")
-    ] = None,
+    wind: WindOption = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[float, number_option("--start-soc", 0.01, 1.0, "State of charge at take-off.")] = 1.0,
     cells: CellsOption = None,
@@ -76,13 +75,10 @@ def plan(
     from uavbatt.plan.endurance import TakeOff, make_plan, resolve
     from uavbatt.telemetry import read_log
 
-    if sum(given is not None for given in (power_w, like, vehicle)) != 1:
-        raise UsageError("the power is not known: expected exactly one of --power-w W, --like LOG, --vehicle FILE")
-    if mission is not None and vehicle is None:
-        raise UsageError("--mission: expected --vehicle FILE as well, the powers that this aircraft needs in each leg")
-    if wind is not None and mission is None:
-        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
+    _check_power(power_w, like, vehicle, mission)
+    check_wind(wind, mission)
     check_writable(report, summary, reads=(like, vehicle, mission, packs))
+    files = ResultFiles(summary, report)
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
@@ -91,19 +87,31 @@ def plan(
     resolved = resolve(content, of_known_cells(options, remembered), flight)
     take_off = TakeOff(ambient_c, start_soc, reserve_soc, remembered)
     if mission is not None and vehicle is not None:
-        plan_mission(mission, vehicle, wind, content, resolved, take_off, (report, summary))
+        planned = planned_mission(mission, vehicle, wind)
+        plan_and_tell(planned, mission.name, content, resolved, take_off, files)
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
-    found = make_plan(content, resolved, load, take_off)
+    _tell(make_plan(content, resolved, load, take_off), content, reserve_soc, files)
+
+
+def _check_power(power_W: float | None, like: Path | None, vehicle: Path | None, mission: Path | None) -> None:
+    """Raise UsageError unless the options state the power of the flight, and in one way only."""
+    if sum(given is not None for given in (power_W, like, vehicle)) != 1:
+        raise UsageError("the power is not known: expected exactly one of --power-w W, --like LOG, --vehicle FILE")
+    if mission is not None and vehicle is None:
+        raise UsageError("--mission: expected --vehicle FILE as well, the powers that this aircraft needs in each leg")
+
+
+def _tell(found: Plan, battery: BatteryFile, reserve_soc: float, files: ResultFiles) -> None:
+    """Print the plan, and write the files that are wanted."""
     for line in _lines(found):
-        say(line, report, summary)
-    if report is not None:
+        files.say(line)
+    if files.page is not None:
         from uavbatt.report.page import write_page
         from uavbatt.report.plan import plan_report
 
-        write_page(report, plan_report(found))
-    if summary is not None:
-        _write_summary(summary, found, reserve_soc, content.certificate.content_sha256)
+        write_page(files.page, plan_report(found))
+    files.write_json(_as_json(found, reserve_soc, battery.certificate.content_sha256))
 
 
 def _load(
@@ -111,7 +119,7 @@ def _load(
 ) -> tuple[Load, str]:
     """Return the load to come and its name."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.fitting.vehicle import fit_vehicle
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
     from uavbatt.prediction.load_library import learned_load
     from uavbatt.prediction.take_off import FromTakeOff
@@ -120,7 +128,7 @@ def _load(
         return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"
     if flight is not None:
         try:
-            flown = learn(Path(flight.source).stem, [flight], battery, options)
+            flown = fit_vehicle(Path(flight.source).stem, [flight], battery, options)
         except NotEnoughData as error:
             raise NotEnoughData(f"--like {error}") from None
         words = f"as in {Path(flight.source).name}, {flown.phases.flight_W:.0f} W on average"
@@ -156,11 +164,9 @@ def _headline(here: Endurance) -> str:
     return said + (f"; {here.remark}" if here.remark else "")
 
 
-def _write_summary(path: Path, plan: Plan, reserve_soc: float, content_sha256: str) -> None:
-    """Write the plan as JSON: sources of the numbers, the planned temperature, the table."""
-    from uavbatt.files import write_json
-
-    content = {
+def _as_json(plan: Plan, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
+    """Return the plan for JSON: sources of the numbers, the planned temperature, the table."""
+    return {
         "battery": plan.resolved.battery,
         "certificate_status": plan.resolved.status,
         "content_sha256": content_sha256,
@@ -172,4 +178,3 @@ def _write_summary(path: Path, plan: Plan, reserve_soc: float, content_sha256: s
         "planned": asdict(plan.here),
         "table": [asdict(e) for e in plan.rows],
     }
-    write_json(path, content)

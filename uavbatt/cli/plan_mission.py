@@ -7,63 +7,57 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.cli.options import say, stated_wind
+from uavbatt.cli.missions import mission_from_home, stated_wind
 from uavbatt.errors import UsageError
 from uavbatt.output import clock
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackSize
+    from uavbatt.cli.options import ResultFiles
     from uavbatt.plan.endurance import TakeOff
-    from uavbatt.plan.mission import LegEnd, MissionPlan, RouteFit
+    from uavbatt.plan.mission import LegEnd, MissionPlan, PlannedMission, RouteFit
     from uavbatt.records import Route
 
 MOST_LEGS = 40  # lines on a terminal
 
 
-def plan_mission(
-    mission: Path,
-    vehicle: Path,
-    wind: str | None,
-    content: BatteryFile,
-    resolved: PackSize,
-    take_off: TakeOff,
-    outputs: tuple[Path | None, Path | None],
-) -> None:
-    """Print whether the mission fits, and write the outputs: page, JSON."""
+def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMission:
+    """Return a mission with the aircraft that flies it, and the wind. Raises UsageError if a file lacks something."""
     import msgspec
 
     from uavbatt.battery import vehicle_file
-    from uavbatt.navigation import ReturnSettings, Wind
-    from uavbatt.plan.mission import PlannedMission, make_route_plan
-    from uavbatt.telemetry.formats.mission_file import read_mission
+    from uavbatt.navigation import ReturnSettings
+    from uavbatt.plan.mission import PlannedMission
 
-    read, flown = read_mission(mission), vehicle_file.read_vehicle(vehicle)
-    if read.home is None:
-        raise UsageError(f"--mission {mission}: expected the place of home in it")
+    (read, home), flown = mission_from_home(mission), vehicle_file.read_vehicle(vehicle)
     if flown.powers is None:
         raise UsageError(
             f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
         )
-    air = stated_wind(wind) if wind is not None else Wind(0.0, 0.0)
+    air = stated_wind(wind)
     settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
     settings = replace(settings, is_px4=not read.mission.has_home_item)
-    planned = PlannedMission(read.mission, read.home, settings, flown.powers, air)
-    found = make_route_plan(content, resolved, planned, take_off)
-    report, summary = outputs
-    for line in _lines(found, mission.name):
-        say(line, report, summary)
-    if report is not None:
+    return PlannedMission(read.mission, home, settings, flown.powers, air)
+
+
+def plan_and_tell(
+    planned: PlannedMission, name: str, battery: BatteryFile, size: PackSize, take_off: TakeOff, files: ResultFiles
+) -> None:
+    """Print whether the mission fits, and write the files that are wanted; `name` is the mission file's."""
+    from uavbatt.plan.mission import make_route_plan
+
+    found = make_route_plan(battery, size, planned, take_off)
+    for line in _lines(found, name):
+        files.say(line)
+    if files.page is not None:
         from uavbatt.report.mission import mission_report
         from uavbatt.report.page import write_page
 
-        write_page(report, mission_report(found, mission.name))
-    if summary is not None:
-        from uavbatt.files import write_json
-
-        write_json(summary, _summary(found, mission.name, take_off.reserve_soc, content.certificate.content_sha256))
+        write_page(files.page, mission_report(found, name))
+    files.write_json(_as_json(found, name, take_off.reserve_soc, battery.certificate.content_sha256))
 
 
 def _lines(plan: MissionPlan, name: str) -> list[str]:
@@ -140,7 +134,7 @@ def _charges(leg: LegEnd) -> dict[str, float]:
     return {"soc": leg.soc, "soc_lo": leg.soc_lo, "soc_hi": leg.soc_hi}
 
 
-def _summary(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
+def _as_json(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
     """Return the plan for JSON: sources of the numbers, the planned temperature, each leg, the table."""
     legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
     return {

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli.missions import WindOption, check_wind, mission_from_home, stated_wind
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     AmbientOption,
@@ -16,18 +17,18 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
-    WindOption,
     check_writable,
     number_option,
-    positive_or_nan,
     read_battery,
     remark,
-    stated_wind,
+    stated_pack,
 )
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
+    from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.scaling import Pack
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.records import Sample
     from uavbatt.simulate.flight import SimulatedFlight
     from uavbatt.simulate.route import RouteFlight
@@ -61,44 +62,41 @@ def simulate(
 
     Example: uavbatt simulate -o flight.tlog --power-w 250 --effect weak_cell=0.1
     """
-    from uavbatt.battery.scaling import pack_of
-    from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.simulate.flight import SimulatedFlight, check_kind, simulate_flight, with_effects, write_log
+    from uavbatt.simulate.flight import SimulatedFlight, check_kind, simulate_flight, write_log
 
     check_writable(output, reads=[mission])
-    if wind is not None and mission is None:
-        raise UsageError("--wind: expected --mission FILE as well: without a route there is no airspeed")
+    check_wind(wind, mission)
     route = _route(mission, wind) if mission is not None else None
     check_kind(output, route)
     content = read_battery(battery, allow_uncertified)
-    series = cells or content.battery.cells_series
-    share = series / content.battery.cells_series
-    given_V, given_Ah = (
-        positive_or_nan(cutoff_voltage, "--cutoff-voltage"),
-        positive_or_nan(capacity_ah, "--capacity-ah"),
-    )
-    check_stated(series, given_Ah, given_V, names=OPTIONS)
-    cutoff_V = given_V if given_V == given_V else content.battery.cutoff_V * share
-    low_V = (content.battery.low_V or float("nan")) * share
-    pack = pack_of(content, series, given_Ah, cutoff_V, low_V)
-    pack = with_effects(pack, dict(_effect(text) for text in effect or []))
+    stated = stated_pack(cells or content.battery.cells_series, capacity_ah, cutoff_voltage)
+    pack = _pack(content, stated, dict(_effect(text) for text in effect or []))
     flight = SimulatedFlight(power_w, ambient_c, start_soc, rate_hz, seed)
     samples = simulate_flight(pack, flight) if route is None else _along(route, pack, flight)
     write_log(output, samples, pack, route)
     remark(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s")
 
 
+def _pack(content: BatteryFile, stated: PackOptions, effects: dict[str, float]) -> Pack:
+    """Return the pack of the battery file with the stated size and the planted effects."""
+    from uavbatt.battery.scaling import pack_of
+    from uavbatt.simulate.flight import with_effects
+
+    kind = content.battery
+    cells = stated.cells or kind.cells_series
+    share = cells / kind.cells_series
+    cutoff_V = kind.cutoff_V * share if math.isnan(stated.cutoff_V) else stated.cutoff_V
+    low_V = (kind.low_V or math.nan) * share
+    return with_effects(pack_of(content, cells, stated.capacity_Ah, cutoff_V, low_V), effects)
+
+
 def _route(mission: Path, wind: str | None) -> RouteFlight:
     """Return the flight of a mission file. Raises UsageError for one without a home position, or without an end."""
-    from uavbatt.navigation import Wind
     from uavbatt.simulate.flight import IDLE_S
     from uavbatt.simulate.route import route_flight
-    from uavbatt.telemetry.formats.mission_file import read_mission
 
-    planned = read_mission(mission)
-    if planned.home is None:
-        raise UsageError(f"--mission {mission}: expected the place of home in it")
-    return route_flight(planned.mission, planned.home, stated_wind(wind) if wind else Wind(0.0, 0.0), IDLE_S)
+    planned, home = mission_from_home(mission)
+    return route_flight(planned.mission, home, stated_wind(wind), IDLE_S)
 
 
 def _along(route: RouteFlight, pack: Pack, flight: SimulatedFlight) -> list[Sample]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import ReportOption, check_writable, number_option, remark, say
+from uavbatt.cli.options import ReportOption, ResultFiles, check_writable, number_option, remark, say
 from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from uavbatt.validation.gating.gate import Limits
     from uavbatt.validation.study.paper import PaperReplay
     from uavbatt.validation.validate import Validation
+
+MOST_CLAIMS = 12  # claims without a vote that are printed; the report has all
 
 
 class Method(StrEnum):
@@ -72,15 +74,15 @@ def validate(
     if method is Method.PAPER:
         if ship is not None or report is not None:
             raise UsageError("--method paper judges the tests as printed: --ship and --report need --method iso")
-        _paper(tests, json_file)
+        _paper(tests, ResultFiles(json_file, report))
         return
-    result = _iso(tests, _limits(tests.cells_series, limit_v, limit_s, crossing_v), ship, report, json_file)
+    limits = _limits(tests.cells_series, limit_v, limit_s, crossing_v)
+    result = _iso(tests, limits, ship, ResultFiles(json_file, report))
     raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
 
 
-def _iso(tests: DataSet, limits: Limits, ship: Path | None, report: Path | None, json_file: Path | None) -> Validation:
+def _iso(tests: DataSet, limits: Limits, ship: Path | None, files: ResultFiles) -> Validation:
     """Judge the tests, print the result, and write the files that are wanted."""
-    from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
     from uavbatt.validation.validate import validate as judge
 
@@ -89,31 +91,30 @@ def _iso(tests: DataSet, limits: Limits, ship: Path | None, report: Path | None,
         result = judge(tests, limits, progress)
     printed = _paper_replay(tests)
     for line in _lines(result):
-        say(line, report, json_file)
+        files.say(line)
     if ship is not None:
         ship.mkdir(parents=True, exist_ok=True)
-    if json_file is not None:
-        write_json(json_file, to_builtins(result, printed), indent=1)
-    if report is not None:
+    files.write_json(to_builtins(result, printed), indent=1)
+    if files.page is not None:
         from uavbatt.report.page import write_page
         from uavbatt.report.validation import validation_report
 
-        write_page(report, validation_report(result, printed))
-        say(f"report: {report}", report, json_file)
+        write_page(files.page, validation_report(result, printed))
+        files.say(f"report: {files.page}")
     if ship is not None:
-        _ship(result, ship, report, json_file)
+        _ship(result, ship, files)
     return result
 
 
-def _ship(result: Validation, folder: Path, *outputs: Path | None) -> None:
-    """Write the battery file that has passed; `outputs` are the files of the command, which may be stdout."""
+def _ship(result: Validation, folder: Path, files: ResultFiles) -> None:
+    """Write the battery file that has passed into the folder."""
     from uavbatt.battery import battery_file
 
     if result.battery is None:
         remark("nothing shipped: the verdict is not pass")
         return
     path = folder / f"{result.battery.battery.name}{battery_file.SUFFIX}"
-    say(f"shipped: {battery_file.write_battery(result.battery, path)}", *outputs)
+    files.say(f"shipped: {battery_file.write_battery(result.battery, path)}")
 
 
 def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float | None) -> Limits:
@@ -130,25 +131,34 @@ def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float
 
 def _lines(result: Validation) -> list[str]:
     """Return the verdict, then its claims, then the findings about the tests, as lines of text."""
-    from uavbatt.report.validation_tables import plain_reason
-
     tests = result.dataset
-    lines = [
+    return [
         f"{tests.name}: {result.verdict.upper()} at {result.ambient_C:g} °C "
         f"({len(tests.runs)} runs, {len(tests.ambients_C)} ambient temperatures)",
         "",
-        "claims",
+        *_claim_lines(result),
+        "",
+        "findings about the tests",
+        *(f"  [{f.severity}] {f.title}" for f in result.findings),
+        "",
+        *_precision_lines(result),
     ]
-    gating = [c for c in result.claims if c.gates]
-    others = [c for c in result.claims if not c.gates]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in gating]
-    lines += ["claims that inform and do not gate"]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in others[:12]]
-    if len(others) > 12:
-        lines.append(f"  {'':>15}  ... and {len(others) - 12} more in the report")
-    lines += ["", "findings about the tests"]
-    lines += [f"  [{f.severity}] {f.title}" for f in result.findings]
-    lines += ["", "precision (ISO 5725-2)", "    min      mean      s_r      s_L      s_R        r        R"]
+
+
+def _claim_lines(result: Validation) -> list[str]:
+    """Return the claims that gate, and the first MOST_CLAIMS of those that only inform."""
+    from uavbatt.report.validation_tables import plain_reason
+
+    said = [(c.gates, f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}") for c in result.claims]
+    gating, others = [line for gates, line in said if gates], [line for gates, line in said if not gates]
+    left_out = len(others) - MOST_CLAIMS
+    more = [f"  {'':>15}  ... and {left_out} more in the report"] if left_out > 0 else []
+    return ["claims", *gating, "claims that inform and do not gate", *others[:MOST_CLAIMS], *more]
+
+
+def _precision_lines(result: Validation) -> list[str]:
+    """Return the precision of the voltage at each whole minute."""
+    lines = ["precision (ISO 5725-2)", "    min      mean      s_r      s_L      s_R        r        R"]
     for row in result.precision:
         if row.quantity == "voltage_V" and (row.time_s % 60.0) < 1e-6:
             p = row.precision
@@ -171,15 +181,13 @@ def _paper_replay(tests: DataSet) -> PaperReplay | None:
         return None
 
 
-def _paper(tests: DataSet, json_file: Path | None) -> None:
-    from uavbatt.files import write_json
+def _paper(tests: DataSet, files: ResultFiles) -> None:
     from uavbatt.validation.study import paper
 
     replayed = paper.replay(tests)
     for line in _paper_lines(tests.name, replayed):
-        say(line, json_file)
-    if json_file is not None:
-        write_json(json_file, replayed, indent=1)
+        files.say(line)
+    files.write_json(replayed, indent=1)
 
 
 def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:

@@ -33,7 +33,7 @@ from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
-from uavbatt.scoring.scores import end_of_flight
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.quality.drawn import loaded_A
 
 # Rows are thinned to one in ROW_S, as the model is slower; one forecast a minute is judged, the first after SETTLING_S.

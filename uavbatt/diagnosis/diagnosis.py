@@ -25,6 +25,16 @@ from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import NEVER_SURE, EffectClass, HiddenSize, class_of, hidden_sizes, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
+from uavbatt.diagnosis.misfit import (
+    FAR,
+    LEFT,
+    USUAL,
+    MisfitPerNumber,
+    explains,
+    floor_V,
+    left_per_number,
+    times_expected,
+)
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
@@ -34,9 +44,6 @@ from uavbatt.engine import PLAIN, Engine
 from uavbatt.fitting.observed import ObservedRecord
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
-LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
-USUAL = 1.05  # largest value that effect-free flights leave for the voltage
-FAR = 2.0  # times the error that the model is expected to have: no wander; 1.8 at most in healthy sets
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 
@@ -61,7 +68,7 @@ class Diagnosis:
 
     @property
     def may_hide(self) -> bool:
-        """Return True if the class was not found, and is only what small effect may hide."""
+        """Return True if no effect was found: then the class is the small effect that may be present unseen."""
         return self.verdict == "no_missing_effect" and bool(self.classes)
 
 
@@ -99,35 +106,47 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose records of one pack.
 
-    without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` takes two thirds of the time); wear_sd : sd of the fade and of the growth of `pack`, if the
-    ledger knows the pack. Raises NotEnoughData with the reason.
+    without : effects that are no candidates; progress : is called with the name of each step
+    engine : simulates many columns (`compiled.engine()` takes two thirds of the time)
+    wear_sd : sd of the fade and of the growth of `pack`, if the ledger knows the pack
+
+    Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states, wear_sd)
-    searched = _search_settled(problem, file, without, tell)
-    if problem.evidence.charged_in_part.any():  # the rest of the flight tells if the voltage is wrong instead
-        full = replace(problem, evidence=problem.evidence.believed_full)
-        searched = min(searched, _search_settled(full, file, without, tell), key=lambda s: s.best.total)
-    problem, unchanged, best, findings, singles = searched
+    searched = _search(problem, file, without, tell)
     tell("residual")
-    steady = all(f.steady for f in findings)
+    return _concluded(searched, file, without)
+
+
+class _SearchResult(NamedTuple):
+    """_SearchResult holds the refit without a new effect, the best refit, and the effects that it has."""
+
+    problem: Problem
+    unchanged: Refit
+    best: Refit
+    findings: list[FoundEffect]
+    singles: Trial
+
+
+def _concluded(searched: _SearchResult, file: BatteryFile, without: tuple[str, ...]) -> Diagnosis:
+    """Return the diagnosis of a finished search."""
+    problem, unchanged, best, findings, singles = searched
     misfit = left_per_number(problem, best)
     reasons = doubts(problem, file, findings, best, misfit)
-    effect_classes = tuple(class_of(problem, f, candidate_probability(misfit, reasons)) for f in findings)
-    if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
-        effect_classes = (start_class(problem, unchanged), *effect_classes)
-    if not steady:  # a value that differs between records is a suspect, not for a battery file
-        best = unchanged
-    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if effect_classes else "no_missing_effect"
-    after = residual.residuals(problem.evidence, at_best(problem, best))
+    probability = candidate_probability(misfit, reasons)
+    classes = _classes(searched, probability, without)
+    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if classes else "no_missing_effect"
     may_hide = small(problem, singles) if verdict == "no_missing_effect" else None
+    if may_hide is not None:
+        classes = (class_of(problem, may_hide, probability),)
+    if not all(f.steady for f in findings):  # a value that differs between records is a suspect, not for a battery file
+        best = unchanged
+    after = residual.residuals(problem.evidence, at_best(problem, best))
     return Diagnosis(
         verdict=verdict,
-        classes=effect_classes
-        if may_hide is None
-        else (class_of(problem, may_hide, candidate_probability(misfit, reasons)),),
+        classes=classes,
         reasons=reasons,
         problem=problem,
         before=unchanged,
@@ -142,12 +161,13 @@ def diagnose(
     )
 
 
-class _SearchResult(NamedTuple):
-    problem: Problem
-    nothing: Refit
-    best: Refit
-    findings: list[FoundEffect]
-    singles: Trial
+def _classes(searched: _SearchResult, probability: float, without: tuple[str, ...]) -> tuple[EffectClass, ...]:
+    """Return the classes of the effects that were found, before them the charge at the start if it was below full."""
+    problem, found = searched.problem, searched.findings
+    classes = tuple(class_of(problem, finding, probability) for finding in found)
+    if not problem.evidence.charged_in_part.any() or "initial_charge" in without:
+        return classes
+    return (start_class(problem, searched.unchanged), *classes)
 
 
 def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) -> list[Candidate]:
@@ -162,6 +182,20 @@ def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) ->
     )
 
 
+def _search(
+    problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
+) -> _SearchResult:
+    """Search for effects. Records that seem to begin below full are also tried as full; the better fit counts.
+
+    The voltage at the start may be wrong instead of the charge: the rest of the flight tells which.
+    """
+    searched = _search_settled(problem, file, without, tell)
+    if not problem.evidence.charged_in_part.any():
+        return searched
+    full = replace(problem, evidence=problem.evidence.believed_full)
+    return min(searched, _search_settled(full, file, without, tell), key=lambda one: one.best.total)
+
+
 def _search_settled(
     problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]
 ) -> _SearchResult:
@@ -172,61 +206,6 @@ def _search_settled(
     return _SearchResult(
         problem, unchanged, *search(problem, options, unchanged, lambda fit: explains(problem, fit), tell)
     )
-
-
-def explains(problem: Problem, fit: Refit) -> bool:
-    """Return True if a refit leaves no more than the file's own model does."""
-    misfit = left_per_number(problem, fit)
-    return not max(misfit.voltage, misfit.temperature) > LEFT
-
-
-def floor_V(file: BatteryFile, problem: Problem) -> float:
-    """Return the size of residual that the battery's own model leaves on this pack [V]."""
-    share = problem.pack.installation.cells / file.battery.cells_series
-    return float(file.discrepancy.voltage_rmse_V * share)
-
-
-class MisfitPerNumber(NamedTuple):
-    """MisfitPerNumber holds the chi-square per number that a model leaves."""
-
-    voltage: float
-    temperature: float  # NaN: not measured
-
-
-def left_per_number(problem: Problem, best: Refit) -> MisfitPerNumber:
-    """Return the chi-square per number that is left once the file's stated errors are at their most probable.
-
-    The prior of those errors counts with the voltage: an error of six standard errors explains nothing.
-    """
-    problem = replace(problem, nuisances=problem.stated)
-    fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
-    misfit = per_number(problem, fit)
-    numbers = sum(v.rows.size for v in problem.evidence.volts)
-    return misfit._replace(voltage=misfit.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
-
-
-def per_number(problem: Problem, fit: Refit) -> MisfitPerNumber:
-    """Return the chi-square per number that a refit leaves of voltage and of temperature."""
-    squares, numbers = np.zeros(2), np.zeros(2)
-    for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
-        first, size = volts.rows.size, temps.rows.size if temps is not None else 0
-        squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
-        numbers += [first, size]
-    return MisfitPerNumber(
-        float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan")
-    )
-
-
-def times_expected(problem: Problem, file: BatteryFile, after: list[Residual]) -> float:
-    """Return the voltage residual under load as a multiple of the error that the model is expected to have there.
-
-    In the chi-square per number an error that lasts for a whole flight counts as a single error, and is hardly seen. A
-    file without a learned wander has one error for all charges.
-    """
-    if file.discrepancy.wander is None:
-        return residual.size_V(after) / floor_V(file, problem)
-    shares = [r.voltage_V / v.sd for r, v in zip(after, problem.evidence.volts, strict=True)]
-    return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
 
 
 def candidate_probability(misfit: MisfitPerNumber, reasons: tuple[str, ...]) -> float:

@@ -20,7 +20,7 @@ from uavbatt.diagnosis.simulation import MAY_DRIFT
 from uavbatt.diagnosis.worth import left_out_chi2
 
 TURNS = 8  # iterations: the start is the fit without drift, so that few are needed
-WARMS = "voltage_gain"
+VARIES_WITH_TEMPERATURE = "voltage_gain"  # the only effect that is tried with a drift along the temperature
 WITHIN: dict[Course, str] = {
     "time": "within each",
     "temperature": "from the coldest of the temperatures read to the warmest",

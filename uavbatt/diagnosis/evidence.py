@@ -1,15 +1,15 @@
-"""Flights and bench tests, made ready to be held against the model.
+"""Flights and bench tests, prepared for the comparison with the model.
 
-The residual of the best model of a battery is no white noise: it stays alike for a minute or more, and is largest at
-both ends of the charge. So the misfit of a record is judged by the covariance
+The residual of the best model of a battery is not white noise: it changes slowly, over a minute or more, and is largest
+at both ends of the charge. So the misfit of a record is judged by the covariance
 
     K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)² + (charge error · dOCV/dsoc)²
 
 as the battery file's `[discrepancy.wander]` learned it from effect-free records (`fitting.wander`; Rasmussen &
 Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel), with the error of the capacity where a
-pack runs empty, deeper than those records went. Its inverse Cholesky factor turns a residual into independent numbers
-of unit variance: their sum of squares is the chi-square that all decisions rest on. The rest before take-off is a block
-of its own, off by one constant.
+pack is discharged deeper than in those records. Its inverse Cholesky factor turns a residual into independent numbers
+of unit variance: their sum of squares is the chi-square by which everything is decided. The rest before take-off is a
+block of its own, whose error is one constant.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
 
 FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
-# A shorter record does not leave the wander of the model behind it; with less charge drawn, no capacity shows.
+# A shorter record is not long against the correlation time of the error; with less charge drawn, no capacity shows.
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LOADED_SHARE = 0.3  # of the upper current (90 % point): less is rest
 LEAST_TEMPERATURES = 5  # fewer readings do not show how a temperature changes
 LEAST_RECORDS, LEAST_CHANGE = 2, 0.04  # one record may have a peculiarity of its day; relative spread of the current
-CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
+CLEARLY_NOT_FULL = 0.85  # of the charge: no voltage sensor that is nearly right shows less for a full pack
 FULL_SD = 0.008  # of the charge of a full pack: chargers end at different currents
 RESTED_SD, LOADED_SD = 0.03, 0.06  # of the charge that a first voltage shows: 12 and 24 mV of a cell on the plateau
 START_OHMAH, LEAST_START = 0.05, 0.05  # of a cell that has just been loaded; no flight begins emptier
 ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
-IDLE_NOISE_A = 0.15  # an offset is seen at rest to within that
+IDLE_NOISE_A = 0.15  # at rest an offset of the current is known to within this
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
 FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
 
@@ -225,7 +225,7 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     if spacing_s > FAST_ROW_S:
         return 0.0
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    bent_by_one = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
+    bent_by_one = 6.0  # 1² + 2² + 1²: the variance of a second difference over that of one row
     return float(observed.MAD_TO_SD * bent_V / np.sqrt(bent_by_one * observed.BIN_S / spacing_s))
 
 
@@ -236,7 +236,7 @@ def _voltage_whitener(
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
     discharged = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
-    # It was learned on packs that took off full: an error at full charge may come from the charge or from the take-off.
+    # The error was learned on packs that took off full: near full it may belong to the charge or to the take-off.
     log_sd = np.log(np.maximum(spread.voltage_sd_V, 1e-6))
     wandering_V = np.exp(np.maximum(*(np.interp(first - discharged, spread.soc, log_sd) for first in (start_soc, 1.0))))
     wandering_V *= _cold(spread, stack.start_temp_C[j])

@@ -16,7 +16,8 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
-from uavbatt.diagnosis.diagnosis import Verdict, candidate_probability, doubts, left_per_number, options_of, problem_of
+from uavbatt.diagnosis.diagnosis import Verdict, candidate_probability, doubts, options_of, problem_of
+from uavbatt.diagnosis.misfit import left_per_number
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related

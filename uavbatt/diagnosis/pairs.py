@@ -1,4 +1,4 @@
-"""The pair of effects that explains the records where one effect does not: every promising pair is refitted as a pair.
+"""The pair of effects that explains the records, if no single effect does: every promising pair is refitted as a pair.
 
 Each effect of a pair must be worth enough beside the other. The pairs that pass are grouped into families: pairs of the
 same two causes under other names. The family with the largest total likelihood is chosen.
@@ -18,9 +18,11 @@ from uavbatt.diagnosis.rivals import RIVAL_SHARE, family, related
 from uavbatt.diagnosis.trial import EARNED, FURTHER_TURNS, Trial, likeliness
 from uavbatt.diagnosis.worth import at_bound, is_steady, left_out_chi2, worth
 
-EARNED_BESIDE = 12.0  # least worth of the lesser of two, if two leave EARNED_TOGETHER less
-EARNED_IN_PART = 24.0  # least worth of each of two, beside a start in part
-EARNED_TOGETHER = 36.0  # chi-square by which two, or one that drifts, leave less than the best single effect
+EARNED_BESIDE = 12.0  # least worth of the weaker effect of a pair that leaves EARNED_TOGETHER less
+EARNED_IN_PART = 24.0  # least worth of each effect of a pair, if packs began charged in part
+EARNED_TOGETHER = (
+    36.0  # chi-square by which a pair, or one effect that drifts, must leave less than the best single one
+)
 SEEDS, SEEDS_IN_ALL = 4, 7  # singles that pairs are built on: by what they explain, and with the other families
 TRIED = 12  # pairs that are weighed against each other
 
@@ -40,14 +42,14 @@ class Pair:
 
 
 def asked_of_each(problem: Problem, pair: Candidate) -> float:
-    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen."""
+    """Return the least worth of each effect of a pair; it is larger if packs began charged in part."""
     in_part = "initial_charge" in pair.names or problem.evidence.charged_in_part.any()
     return EARNED_IN_PART if in_part else EARNED
 
 
 def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Pair | None:
     """Return the two effects that explain most, each worth enough beside the other; None if no pair passes."""
-    earned = whole(problem, _earning_pairs(problem, options, singles, best)[:TRIED], singles)
+    earned = complete(problem, _earning_pairs(problem, options, singles, best)[:TRIED], singles)
     if not earned:
         return None
     likely = likeliness(problem, earned)
@@ -101,12 +103,15 @@ def _earning_pairs(problem: Problem, options: list[Candidate], singles: Trial, b
 
 
 def are_two(lesser: float, saves: float) -> bool:
-    """Return True if two effects are no chance: the less the lesser is worth, the more both have to save together."""
+    """Return True if a pair is not chance: the less its weaker effect is worth, the more the pair has to save.
+
+    lesser : worth of the weaker effect; saves : chi-square that the pair leaves less than the best single effect
+    """
     return saves > 0.0 and lesser * saves > EARNED_BESIDE * EARNED_TOGETHER
 
 
-def whole(problem: Problem, pairs: list[Refit], singles: Trial) -> list[Refit]:
-    """Return the pairs beside which the worthiest single effect is worth little: else it is one of two, or of three."""
+def complete(problem: Problem, pairs: list[Refit], singles: Trial) -> list[Refit]:
+    """Return the pairs that lack no third effect: the worthiest single effect adds little to them."""
     worths = [-np.inf if at_bound(f) else w.value for f, w in zip(singles.fits, singles.worths, strict=True)]
     worthiest = singles.fits[int(np.argmax(worths))].candidate
     without = [fit for fit in pairs if not related(worthiest.names, fit.candidate.names)]

@@ -167,12 +167,18 @@ def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array
     return a_uu, s.gram[..., shared, own], s.gram[..., own, own] + np.eye(NUISANCES), g_u, g_v
 
 
+def _nuisances_solved(a_uv: Array, a_vv: Array, g_v: Array) -> Array:
+    """Return A_vv^-1 (A_vu, g_v), by which the nuisances are eliminated."""
+    return np.asarray(np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1)))
+
+
 def _step(s: _Linearised, v: Array, damping: Array) -> Array:
+    """Return the step of the quantities, with the nuisances eliminated; it is limited to LONGEST_STEP."""
     a_uu, a_uv, a_vv, g_u, g_v = _blocks(s, v)
     hold = damping[:, None, None, None]
     a_vv = a_vv * (1.0 + hold * np.eye(NUISANCES))
     size = a_uu.shape[-1]
-    solved = np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1))
+    solved = _nuisances_solved(a_uv, a_vv, g_v)
     schur = a_uu * (1.0 + hold * np.eye(size)) - a_uv @ solved[..., :size]
     right = g_u - (a_uv @ solved[..., size:])[..., 0]
     schur, right = np.sum(schur, axis=1, keepdims=True), np.sum(right, axis=1, keepdims=True)
@@ -191,7 +197,7 @@ def _nuisance_step(s: _Linearised, v: Array, du: Array, damping: Array) -> Array
 def _refit_of(batch: Batch, state: _Linearised, u: Array, v: Array, i: int) -> Refit:
     one = slice(i, i + 1)
     a_uu, a_uv, a_vv, g_u, g_v = (block[0] for block in _blocks(_Linearised(*(s[one] for s in state)), v[one]))
-    solved = np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1))
+    solved = _nuisances_solved(a_uv, a_vv, g_v)
     information = a_uu - a_uv @ solved[..., :-1]
     score = g_u - (a_uv @ solved[..., -1:])[..., 0]
     width = len(batch.columns[i])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.drift import WARMS, drifting, saved
+from uavbatt.diagnosis.drift import VARIES_WITH_TEMPERATURE, drifting, saved
 from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, asked_of_each, best_pair
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
@@ -69,7 +69,7 @@ def search(
     effects = (
         [replace(effects[0], drift=_drift(problem, effects[0].members, singles))]
         if effects
-        else _warms(problem, singles)
+        else _drifting_gain(problem, singles)
     )
     drift = effects[0].drift if effects else None
     # Nothing was found, or only a suspect: no pair is built on it.
@@ -84,7 +84,7 @@ def search(
 
 
 def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair) -> list[FoundEffect]:
-    """Return the two effects of a pair, each with its rivals beside the other; none if one of them falls there."""
+    """Return the two effects of a pair, each with its rivals beside the other; none if one is worth too little."""
     both = []
     for alternative in (pair.fit.with_effects_swapped, pair.fit):
         alone = next(f for f in singles.fits if f.candidate.name == alternative.candidate.names[0])
@@ -115,24 +115,24 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
     """
     drifts = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
-    drifts += [(drifting(problem, fit, "temperature"), steadiest) for fit in _that_warm(problem, singles)]
+    drifts += [(drifting(problem, fit, "temperature"), steadiest) for fit in _voltage_gains(problem, singles)]
     saves = [(saved(drift, steady), drift) for drift, steady in drifts if drift is not None]
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 
 
-def _that_warm(problem: Problem, singles: Trial) -> list[Refit]:
+def _voltage_gains(problem: Problem, singles: Trial) -> list[Refit]:
     """Return the refit of the voltage gain if the records have a temperature, else nothing."""
     has_temperature = problem.evidence.has_temperature
-    return [fit for fit in singles.fits if has_temperature and fit.candidate.name == WARMS]
+    return [fit for fit in singles.fits if has_temperature and fit.candidate.name == VARIES_WITH_TEMPERATURE]
 
 
-def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
+def _drifting_gain(problem: Problem, singles: Trial) -> list[FoundEffect]:
     """Return a voltage gain that changes with temperature as the finding, for records in which no effect was found.
 
     Part of its saving may come from errors of the file; it must therefore be worth as much as each effect of a pair.
     """
-    for fit in _that_warm(problem, singles):
+    for fit in _voltage_gains(problem, singles):
         drift = drifting(problem, fit, "temperature")
         if drift is not None and (gain := worth(drift, singles.before)).value > EARNED_BESIDE:
             sure = no_chance(problem, fit, singles.before, gain, EARNED_BESIDE)

@@ -51,7 +51,7 @@ def effect_entries(
     slots: tuple[Slot, ...], x: Array, standard_error: dict[str, float], effects: tuple[str, ...]
 ) -> list[EffectEntry]:
     """Return the sections [[effects]] of the values x [slots]."""
-    at = {s.name: i for i, s in enumerate(slots)}
+    at = prior.places(slots)
     entries = []
     for name in effects:
         quantities = [q for q in EFFECTS[name].quantities if q.fitted]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,14 +20,14 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
-from uavbatt.fitting.solve import BatteryFit, OwnPrior
-from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt
+from uavbatt.fitting.solve import CellFit, OwnPrior
+from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
 from uavbatt.records import Flight, PackFacts
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
 EVALUATIONS = 60  # of a fit, at most; fits of 3 to 40 flights need 10 to 30
-LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
+LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data add nothing
 # What records should reach, else the file says that they do not: a resistance of 1.4 and of 0.85 times that at 25 °C
 # (by the usual activation, 1500 K), and the charge below which the voltage falls off.
 COLD_C, WARM_C, DEEP_SOC = 5.0, 35.0, 0.1
@@ -63,21 +64,41 @@ class FittedBattery:
     doubtful: tuple[str, ...] = ()
 
 
+class FittedRecords(NamedTuple):
+    """FittedRecords holds the records of a fit side by side, the bench tests first, and how many there are of each."""
+
+    stack: Stack
+    bench: int
+    flights: int
+
+    @property
+    def has_spread(self) -> bool:
+        """Return True if the records tell how much packs differ: three flights or more, and no bench test."""
+        return self.flights > 2 and not self.bench
+
+
 def fit_battery(
     size: RecordedPack, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
 ) -> FittedBattery:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
-    flight_records = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
-    if not bench and not flight_records:
+    flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
+    if not bench and not flown:
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
-    stack = observed.stack(bench + flight_records)
-    has_spread = len(flight_records) > 2 and not bench
-    fit = _solve(stack, len(bench), len(flight_records), has_spread, progress)
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
-    spread = float(np.std(fit.own[:, 1])) if has_spread else 0.0
-    doubtful, unknown = _doubtful(fit), _unknown_words(fit, stack, bool(bench))
-    file = BatteryFile(
+    records = FittedRecords(observed.stack(bench + flown), len(bench), len(flown))
+    fit = _solve(records, progress)
+    doubtful, unknown = _doubtful(fit), _unknown_words(fit, records)
+    known = (*_known_words(fit), *(_pack_words(fit) if records.has_spread else ()))
+    return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)
+
+
+def _file(
+    size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
+) -> BatteryFile:
+    """Return the battery file of a fit, with these remarks."""
+    error = fit.standard_errors
+    spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
+    return BatteryFile(
         battery=Battery(
             name=size.name,
             chemistry=datasets[0].chemistry if datasets else "LiPo",
@@ -85,51 +106,49 @@ def fit_battery(
             capacity_Ah=size.capacity_Ah,
             cutoff_V=size.cutoff_V,
             low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
-            source=f"fitted to {len(bench)} bench tests and {len(flight_records)} flights",
-            remarks=[*doubtful, *unknown],
+            source=f"fitted to {records.bench} bench tests and {records.flights} flights",
+            remarks=remarks,
         ),
         parameters=assemble.parameter_table(
             *(fit.slots, fit.x, error, max(spread, MAKE_RESISTANCE_SD)),
-            MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD,
-            spread_flights=len(flight_records) if has_spread else None,
+            MAKE_CAPACITY_SD if records.bench else FLEET_CAPACITY_SD,
+            spread_flights=records.flights if records.has_spread else None,
         ),
         effects=assemble.effect_entries(fit.slots, fit.x, error, fit.effects),
-        discrepancy=_discrepancy(stack, fit, size.cells, len(bench), len(flight_records)),
+        discrepancy=_discrepancy(records, fit, size.cells),
         certificate=Certificate(
             status="fitted",
             data_sha256=datasets[0].sha256 if len(datasets) == 1 else "",
-            statistics=_range_C(stack),
+            statistics=_range_C(records.stack),
         ),
     )
-    determined = (*_known_words(fit), *(_pack_words(fit) if has_spread else ()))
-    return FittedBattery(file, determined, unknown, doubtful)
 
 
-def _discrepancy(stack: Stack, fit: BatteryFit, cells: int, bench: int, flights: int) -> Discrepancy:
-    """Return what the fit leaves of the voltages; how it changes in time is learned from the flights, if there are two.
+def _discrepancy(records: FittedRecords, fit: CellFit, cells: int) -> Discrepancy:
+    """Return what the fit leaves of the voltages, stated for a pack of so many cells.
 
-    bench, flights : how many of the records are of either kind
+    How it changes in time is learned from the flights, or from all records if there are less than two flights.
     """
-    trajectory, source = solve.replay_fit(stack, fit), f"{bench} bench tests, {flights} flights"
+    stack, source = records.stack, f"{records.bench} bench tests, {records.flights} flights"
+    trajectory = solve.replay_fit(stack, fit)
     left = assemble.discrepancy(stack, trajectory, cells, held_out=False, source=source)
-    typical = range(bench if flights > 1 else 0, len(stack.names))
+    typical = range(records.bench if records.flights > 1 else 0, len(stack.names))
     return msgspec.structs.replace(left, wander=wander.learn(stack, trajectory, list(typical), cells))
 
 
-def _solve(
-    stack: Stack, tests: int, flights: int, has_spread: bool, progress: Callable[[int], None] | None
-) -> BatteryFit:
+def _solve(records: FittedRecords, progress: Callable[[int], None] | None) -> CellFit:
     """Fit the cell to packs that are alike or, if the flights make these more probable, to packs in service.
-
-    has_spread : False where the records do not tell one kind of packs from the other.
 
     A worn pack among packs that are said to be alike bends the curve of the type: of ten flights with packs that hold
     88 to 101 % the soc was then wrong by 2.1 of its standard deviations. Where packs are alike, more freedom costs.
     """
-    effects, own_prior = _freedom(tests, flights)
-    fit = partial(solve.fit_battery, stack, effects, progress=progress, evaluations=EVALUATIONS, has_bench=tests > 0)
+    effects, own_prior = _freedom(records.bench, records.flights)
+    has_bench = records.bench > 0
+    fit = partial(
+        solve.fit_cell, records.stack, effects, progress=progress, evaluations=EVALUATIONS, has_bench=has_bench
+    )
     alike = fit(own_prior=own_prior)
-    if not has_spread:
+    if not records.has_spread:
         return alike
     return max(alike, fit(own_prior=solve.IN_SERVICE, start_u=alike.u), key=lambda found: found.log_evidence)
 
@@ -181,23 +200,19 @@ def _check_caller(
     cells: int | None, cutoff_V: float, series: int, datasets: list[DataSet], flights: list[Flight]
 ) -> None:
     """Raise UsageError if the stated cells do not fit the first voltages of a record, or the stated cut-off no cell."""
-    doubt = ending_doubt("--cutoff-voltage ", cutoff_V, series)
-    if doubt is not None and doubt.is_certain:
-        raise UsageError(doubt.words)
+    refuse_certain(ending_doubt("--cutoff-voltage ", cutoff_V, series))
     if cells is None:
         return
     firsts = [(str(d.path), FirstVoltages(d.first_V)) for d in datasets]
     for source, voltages in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
-        doubt = cells_doubt(cells, voltages, Resting())
-        if doubt is not None and doubt.is_certain:
-            raise UsageError(f"{source}: --cells: {doubt.words}")
+        refuse_certain(cells_doubt(cells, voltages, Resting()), f"{source}: --cells: ")
 
 
 def _first(values: list[float]) -> float:
     return next((v for v in values if np.isfinite(v)), float("nan"))
 
 
-def _known_words(fit: BatteryFit) -> tuple[str, ...]:
+def _known_words(fit: CellFit) -> tuple[str, ...]:
     """Return each parameter with its standard error, in words."""
     lines = []
     for i, slot in enumerate(fit.slots):
@@ -206,7 +221,7 @@ def _known_words(fit: BatteryFit) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _pack_words(fit: BatteryFit) -> tuple[str, ...]:
+def _pack_words(fit: CellFit) -> tuple[str, ...]:
     """Return in words how much the packs of the flights differ."""
     resistance, capacity = np.std(fit.own[:, 1:], axis=0)
     return (f"packs of the flights differ by {resistance:.0%} in resistance, {capacity:.0%} in capacity (sd)",)
@@ -225,7 +240,7 @@ def _measured_C(stack: Stack) -> tuple[float, float] | None:
     return (float(low_C), float(high_C)) if temps.size else None
 
 
-def _doubtful(fit: BatteryFit) -> tuple[str, ...]:
+def _doubtful(fit: CellFit) -> tuple[str, ...]:
     """Return in words which fitted values no LiPo cell has: they stand for another cause."""
     names = [slot.name for slot, u in zip(fit.slots, fit.u, strict=True) if abs(u) > FAR_SDS]
     far = [name for name in names if name.startswith(ELECTRIC)]
@@ -233,8 +248,9 @@ def _doubtful(fit: BatteryFit) -> tuple[str, ...]:
     return (f"{', '.join(far)} lie far from those of LiPo cells: {why}",) if far else ()
 
 
-def _unknown_words(fit: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
+def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
     """Return in words which quantities the records do not determine."""
+    stack = records.stack
     told_nothing = [
         s.name for i, s in enumerate(fit.slots) if np.sqrt(fit.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
     ]
@@ -253,7 +269,7 @@ def _unknown_words(fit: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str,
     lowest = float(np.min(fit.own[:, 0] - discharged_share))
     if lowest > DEEP_SOC:
         lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
-    if not has_bench:
+    if not records.bench:
         lines.append("flights alone cannot tell capacity from state of charge: the stated capacity stands")
     if not stack.rested.any():
         lines.append("no record starts at rest: the open-circuit voltage near full is the prior's")

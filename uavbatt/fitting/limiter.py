@@ -12,7 +12,7 @@ from uavbatt.battery.model import Array, Parameters, State
 
 
 def limited_rate(emf_V: Number, r_ohmAh: Number, demand: Array, limit_V: Array) -> Array:
-    """Return the C-rate [1/h] that leaves the cell at `limit_V` or above, at most what is asked."""
+    """Return the C-rate [1/h] that leaves the cell at `limit_V` or above, at most the demand."""
     rate: Array = np.minimum(np.maximum((emf_V - limit_V) / r_ohmAh, 0.0), demand)
     return rate
 
@@ -26,7 +26,7 @@ def limited_discharge(
     time_s: Array,
     step_s: float,
 ) -> Array:
-    """Simulate tests side by side from `start`, each asking a constant C-rate [1/h] until its limit holds.
+    """Simulate tests side by side from `start`, each with a constant C-rate [1/h] until its limit holds.
 
     cell_in: the cell's parameters in a state; its lags may not change. time_s: instants [s]; the one at 0 is before the
     load. step_s: longest step [s]. Returns [2, instants, tests]: cell voltage [V] and sensor temperature [°C]; tests

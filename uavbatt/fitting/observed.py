@@ -200,9 +200,11 @@ def _merged(record: ObservedRecord, index: NDArray[np.intp]) -> ObservedRecord:
 def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
     """Bin, split and pad the records to the same length, side by side.
 
-    sigma_V : from `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage, because near the
-    end
-    a model that is late by a few seconds is good, though it is off by volts; weight : share of an independent row
+    The sd of a voltage (`sigma_V`) contains `timing_sd_s` times the slope of the smoothed voltage: near the end a model
+    that is late by a few seconds is good, although its error is some volts. `weight` is the share of an independent
+    reading in a row.
+
+    voltage_sd_V : error of the model where the voltage is flat [V a cell]; timing_sd_s : error of its time [s]
     """
     fine = [_split(binned(r)) for r in records]
     rows = max(len(f["time_s"]) for f in fine)

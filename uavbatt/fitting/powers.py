@@ -91,54 +91,98 @@ def _blocks(table: Array) -> PowerRows:
     return PowerRows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
 
 
+class PowerLaw(NamedTuple):
+    """A PowerLaw holds the fitted shares of the terms, the hover power of each flight, and what the fit leaves.
+
+    shares [terms]; precision [terms, terms] : the inverse of their covariance; hovers_W [flights]
+    residuals : of each flight's blocks, relative to the law
+    counts, variance [blocks of all flights] : independent readings in a block, and the variance of one of them
+    """
+
+    shares: Array
+    precision: Array
+    hovers_W: Array
+    residuals: list[Array]
+    counts: Array
+    variance: Array
+
+
 def _fit(rows_by_flight: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
-    """Fit the law of all flights and the hover power of each, in turns; return the misfit and the powers."""
+    """Fit the law of all flights with this induced speed [m/s]; return the misfit and the powers."""
+    law = _law(rows_by_flight, induced_ms)
+    return _misfit(law), _as_powers(law, rows_by_flight, induced_ms)
+
+
+def _law(rows_by_flight: list[PowerRows], induced_ms: float) -> PowerLaw:
+    """Fit the shares of all flights and the hover power of each in turns, as each needs the other."""
     columns = plain = [terms(*rows[1:5], induced_ms) for rows in rows_by_flight]
-    prior, shares = UNKNOWN.shares, UNKNOWN.shares
-    counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in rows_by_flight]
-    count, crowd = np.concatenate(counts), _crowds(rows_by_flight, counts)
+    of_each = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in rows_by_flight]
+    counts, crowd = np.concatenate(of_each), _crowds(rows_by_flight, of_each)
     ends = np.cumsum([len(c) for c in columns])[:-1]
-    hovers_W, noise = np.ones(len(rows_by_flight)), NOISE
+    shares, noise = UNKNOWN.shares, NOISE
     for _ in range(TURNS):
         variance = noise**2 + crowd * SHAPE_SD**2
-        weight = count / variance
-        hovers_W = np.array(
-            [
-                w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2)
-                for r, c, w in zip(rows_by_flight, columns, np.split(weight, ends), strict=True)
-            ]
-        )
+        weight = counts / variance
+        flights = zip(rows_by_flight, columns, np.split(weight, ends), strict=True)
+        hovers_W = np.array([_hover_W(rows, c, w, shares) for rows, c, w in flights])
         columns = [_dragged(c, h / hovers_W.mean()) for c, h in zip(plain, hovers_W, strict=True)]
         design = np.concatenate(columns)
-        excess = np.concatenate(
-            [r.power_W / hover_W - 1.0 for r, hover_W in zip(rows_by_flight, hovers_W, strict=True)]
-        )
-        normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
-        shares = np.linalg.solve(normal, (design.T * weight) @ excess + prior / PRIOR_SD**2)
-        noise = max(float(np.sqrt(np.average((excess - design @ shares) ** 2, weights=count))), LEAST_NOISE)
+        pairs = zip(rows_by_flight, hovers_W, strict=True)
+        excess = np.concatenate([rows.power_W / hover_W - 1.0 for rows, hover_W in pairs])
+        shares, precision = _solved(design, excess, weight)
+        noise = max(float(np.sqrt(np.average((excess - design @ shares) ** 2, weights=counts))), LEAST_NOISE)
     residuals = [
-        r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(rows_by_flight, columns, hovers_W, strict=True)
+        rows.power_W / (h * (1.0 + c @ shares)) - 1.0
+        for rows, c, h in zip(rows_by_flight, columns, hovers_W, strict=True)
     ]
-    entropy = float(count @ np.log(variance))
-    shape_sd = _fast_shape_sd(normal, shares, induced_ms)
-    misfit = float(weight @ np.concatenate(residuals) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
-    return misfit, Powers(
+    return PowerLaw(shares, precision, hovers_W, residuals, counts, variance)
+
+
+def _hover_W(rows: PowerRows, columns: Array, weight: Array, shares: Array) -> float:
+    """Return the hover power [W] with which a flight fits the shares best."""
+    relative = 1.0 + columns @ shares
+    return float(weight @ (rows.power_W * relative) / (weight @ relative**2))
+
+
+def _solved(design: Array, excess: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the most probable shares [terms] of the relative excess over hover, and their precision [terms, terms].
+
+    design [blocks, terms]; excess, weight [blocks]; the prior is that of an unknown aircraft
+    """
+    precision = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
+    shares = np.linalg.solve(precision, (design.T * weight) @ excess + UNKNOWN.shares / PRIOR_SD**2)
+    return shares, precision
+
+
+def _misfit(law: PowerLaw) -> float:
+    """Return -2 ln of the probability of the blocks and of the shares, up to a constant."""
+    weight = law.counts / law.variance
+    data = weight @ np.concatenate(law.residuals) ** 2
+    prior = np.sum(((law.shares - UNKNOWN.shares) / PRIOR_SD) ** 2)
+    return float(data + prior) + float(law.counts @ np.log(law.variance))
+
+
+def _as_powers(law: PowerLaw, rows_by_flight: list[PowerRows], induced_ms: float) -> Powers:
+    """Return the law as the section [powers] of a vehicle file, with its uncertainty and its range."""
+    hovers_W, shape_sd = law.hovers_W, _fast_shape_sd(law.precision, law.shares, induced_ms)
+    squares = np.concatenate(law.residuals) ** 2
+    return Powers(
         hover_W=_rounded(float(np.mean(hovers_W)), 1),
         induced_ms=induced_ms,
-        **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
+        **{term: _rounded(share, 4) for term, share in zip(TERMS, law.shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
-        fast_sd=_rounded(math.hypot(_spread(_unusual(rows_by_flight, residuals), FAST_SD), shape_sd), 4),
-        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(residuals) ** 2, weights=count))), 4),
+        fast_sd=_rounded(math.hypot(_spread(_unusual(rows_by_flight, law.residuals), FAST_SD), shape_sd), 4),
+        row_sd=_rounded(float(np.sqrt(np.average(squares, weights=law.counts))), 4),
         fastest_ms=_fastest_ms(rows_by_flight),
         flights=len(rows_by_flight),
-        seconds=_rounded(sum(float(r.length_s.sum()) for r in rows_by_flight), 0),
+        seconds=_rounded(sum(float(rows.length_s.sum()) for rows in rows_by_flight), 0),
     )
 
 
-def _fast_shape_sd(normal: Array, shares: Array, induced_ms: float) -> float:
-    """Return the relative sd of the power in level flight at KNOWN_MS left by the fit; `normal` is its precision."""
+def _fast_shape_sd(precision: Array, shares: Array, induced_ms: float) -> float:
+    """Return the relative sd of the power in level flight at KNOWN_MS that the fit leaves."""
     column = terms(KNOWN_MS, 0.0, 0.0, 0.0, induced_ms)
-    return math.sqrt(float(column @ np.linalg.solve(normal, column))) / (1.0 + float(column @ shares))
+    return math.sqrt(float(column @ np.linalg.solve(precision, column))) / (1.0 + float(column @ shares))
 
 
 def _fastest_ms(rows_by_flight: list[PowerRows]) -> float:

@@ -84,9 +84,14 @@ def values(slots: tuple[Slot, ...], u: Array) -> Array:
     return np.clip(raw, [s.low for s in slots], [s.high for s in slots])
 
 
+def places(slots: tuple[Slot, ...]) -> dict[str, int]:
+    """Return the place of each slot, by its name."""
+    return {s.name: i for i, s in enumerate(slots)}
+
+
 def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
     """Return OCV [V] and R0 [ohm·Ah] at their knots for values x [..., slots]."""
-    at = {s.name: i for i, s in enumerate(slots)}
+    at = places(slots)
     first = at[f"ocv_{OCV_SOC[0]:g}"]
     ocv_V = x[..., first : first + OCV_SOC.size]
     first = at[f"r0_{RESISTANCE_SOC[0]:g}"]
@@ -117,7 +122,7 @@ def made_monotone(ocv_V: Array) -> Array:
 
 def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFECTS) -> Parameters:
     """Return model parameters for values x [batch, slots]; effects with a fixed quantity (heat_gain) get its prior."""
-    at = {s.name: i for i, s in enumerate(slots)}
+    at = places(slots)
     ocv_V, r0_ohmAh = knots(slots, x)
     fields = {
         q.name: (x[..., at[q.name]] if q.name in at else q.prior)
@@ -144,10 +149,15 @@ class Posterior:
 
     def value(self, name: str) -> float:
         """Return the value of one slot."""
-        return float(self.x[[s.name for s in self.slots].index(name)])
+        return float(self.x[places(self.slots)[name]])
 
     def standard_error(self, name: str) -> float:
         """Return the standard error of one slot, to first order."""
-        i = [s.name for s in self.slots].index(name)
+        i = places(self.slots)[name]
         slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
         return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Return the standard error of every slot, by its name."""
+        return {s.name: self.standard_error(s.name) for s in self.slots}

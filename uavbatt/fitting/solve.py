@@ -53,8 +53,8 @@ SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BatteryFit(Posterior):
-    """BatteryFit adds to the posterior of the shared slots each record's own: start soc and ln of its scales.
+class CellFit(Posterior):
+    """CellFit adds to the posterior of the shared slots each record's own: start soc and ln of its scales.
 
     log_evidence : ln of the probability of the records under the priors, up to a constant of the records. It compares
     two priors of the same records (Laplace's approximation: MacKay, Neural Computation 4, 1992, 415-447).
@@ -164,7 +164,7 @@ def _own_prior(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> tuple[
     return mean, np.array(sd)
 
 
-def fit_battery(
+def fit_cell(
     stack: Stack,
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
@@ -172,7 +172,7 @@ def fit_battery(
     progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
     has_bench: bool = True,
-) -> BatteryFit:
+) -> CellFit:
     """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots]; progress : is
@@ -203,7 +203,7 @@ def fit_battery(
     slopes = np.asarray(solution.jac, dtype=float)
     curvature = slopes.T @ slopes
     shared = slice(unknowns.shared)
-    return BatteryFit(
+    return CellFit(
         slots=slots,
         effects=effects,
         u=solution.x[shared],
@@ -214,6 +214,6 @@ def fit_battery(
     )
 
 
-def replay_fit(stack: Stack, fit: BatteryFit, own: Array | None = None) -> Trajectory:
+def replay_fit(stack: Stack, fit: CellFit, own: Array | None = None) -> Trajectory:
     """Simulate the stack's records open-loop with the fitted cell; own [records, 3] replaces the fitted if given."""
     return run(stack, fit.slots, fit.effects, fit.x[None], (fit.own if own is None else own)[None])

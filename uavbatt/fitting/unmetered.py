@@ -1,7 +1,7 @@
 """Fit of the cell to bench tests whose current was not measured: the study's tables.
 
-The motor asks a constant current of unknown C-rate until the speed controller's limiter takes over and holds the
-voltage; the tests share that load, so that one simulated test stands for all. Voltage and surface temperature are
+The motor draws a constant current of unknown C-rate until the limiter of the speed controller holds the voltage. All
+tests have that load, so that one simulated test stands for all. Voltage and surface temperature are
 fitted together, at the whole minutes at which the study reads them. The C-rate is not identifiable (OCV and
 resistance move with it): it has a prior, and its covariance with the resistance goes into the battery file.
 """
@@ -57,7 +57,7 @@ def predict_unmetered(
 
     Returns [2, instants, batch].
     """
-    at = {s.name: i for i, s in enumerate(slots)}
+    at = prior.places(slots)
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
     start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
     cell = prior.cell(slots, x, effects)

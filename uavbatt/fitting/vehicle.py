@@ -25,7 +25,7 @@ LEAST_ROWS = 5
 LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
 
 
-def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
+def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
     """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is."""
     traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
     if not traces:

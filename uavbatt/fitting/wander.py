@@ -27,8 +27,8 @@ from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import FARTHEST_LN
 
 SOC = np.array([0.0, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 1.0])
-TIMING_S = 3.0  # near empty a model that is late by so much is good, though volts apart
-LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # no circuit is better than that
+TIMING_S = 3.0  # near empty a model that is late by so much is good, although its error is some volts
+LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # no circuit model has a smaller error
 LEAST_K, LEAST_NOISE_K = 0.15, 0.02
 USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
 USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
@@ -115,18 +115,27 @@ def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) 
     flat = Misfit(np.nan_to_num(gap_K), at[0], at[1], np.zeros_like(gap_K), felt)
     warmth = _most_probable(flat, usual, least, neighbours=False)
     resting = (stack.compare & ~loaded)[:, records]
-    has_rest = resting.any(axis=0)
-    means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[has_rest] / resting.sum(axis=0)[has_rest]
     starts_C = stack.start_temp_C[records]
-    one_more = np.append(means, USUAL_REST_CELL_V * cells)  # counted as one record, so that two do not decide alone
     return Wander(
         soc=[float(z) for z in SOC],
         voltage_sd_V=[rounded(v, DIGITS) for v in volts[:-2]],
         voltage_time_s=rounded(volts[-2], DIGITS),
         voltage_noise_V=rounded(volts[-1], DIGITS),
-        rest_sd_V=rounded(max(float(np.sqrt(np.mean(one_more**2))), LEAST_REST_CELL_V * cells), DIGITS),
+        rest_sd_V=rounded(_rest_sd_V(gap_V, resting, cells), DIGITS),
         temperature_sd_K=rounded(warmth[0], DIGITS),
         temperature_time_s=rounded(warmth[1], DIGITS),
         temperature_noise_K=rounded(warmth[2], DIGITS),
         coldest_C=rounded(float(np.min(starts_C)), DIGITS) if np.isfinite(starts_C).all() else None,
     )
+
+
+def _rest_sd_V(gap_V: Array, resting: NDArray[np.bool_], cells: int) -> float:
+    """Return the sd of the error at rest before take-off [V of the pack].
+
+    gap_V [rows, records] : the errors; resting [rows, records] : marks the rows at rest. The usual error counts as one
+    record more, so that two records do not decide alone.
+    """
+    has_rest = resting.any(axis=0)
+    means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[has_rest] / resting.sum(axis=0)[has_rest]
+    one_more = np.append(means, USUAL_REST_CELL_V * cells)
+    return max(float(np.sqrt(np.mean(one_more**2))), LEAST_REST_CELL_V * cells)

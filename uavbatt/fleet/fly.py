@@ -31,12 +31,13 @@ from uavbatt.telemetry.quality.drawn import drawn
 from uavbatt.telemetry.quality.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
-MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
+MUCH_REFUSED = 0.2  # share of the forecasts in the air
+HIGH_NIS = 3.0  # mean of the squared innovation over its variance: 1 if the model fits
 MUCH_LOST = 0.01  # share of a log's bytes: more than a record that is cut
 EMPTY_SOC = 0.05  # a landing with less has worn the cells
 LANDING_S = 30.0  # a descent from 50 m, begun at the cut-off
 OPTIMISTIC_S = 60.0  # half of the two minutes that were left
-RESISTANCE_GROWN = 1.4
+RESISTANCE_GROWN = 1.4  # times that of the battery file, and more than two sd away
 MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 
 

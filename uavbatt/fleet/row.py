@@ -17,7 +17,7 @@ import msgspec
 from uavbatt.records import NAN
 
 OK, BAD = "ok", "bad"
-LOST = "lost"  # bytes not to be had, or a worker that died: not the log's own fault, tried again by the next run
+LOST = "lost"  # its bytes could not be read, or its worker died: the next run tries the log again
 START_FORMAT = "%Y-%m-%dT%H:%M:%SZ"
 LARGEST_INT = 2**63 - 1
 IDENTITIES = ("battery_serial", "hardware", "system", "firmware", "kind")  # columns that may name an aircraft

@@ -155,7 +155,7 @@ def _worked_off(
     keys: Sequence[str],
     store: Journal[journal.Row],
 ) -> Iterator[FinishedLog]:
-    """Work off the errands of all logs without a row in the journal.
+    """Send out the errands of all logs without a row in the journal, and write each row as it comes.
 
     errand : makes the errand of the log with a number, for a worker that does about so many of them.
     """

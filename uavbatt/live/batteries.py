@@ -90,24 +90,50 @@ class Batteries:
 
         now_s : on the monotonic clock [s]
         """
-        instance = row.instance
-        tracked = self._battery_of(instance, now_s)
+        tracked = self._battery_of(row.instance, now_s)
         if self._keeper is not None and self._reader.following.awaited is None:  # else these are another crew's packs
             self._remember(self._keeper, row, vehicle, now_s)
+        estimate, remaining = self._estimate(tracked, row, vehicle, now_s)
+        self._log_pack(row.instance, tracked, remaining)
+        report = self._report(tracked, row, vehicle, now_s, estimate, remaining)
+        self.reports[row.instance] = report
+        return report
+
+    def _estimate(
+        self, tracked: TrackedBattery, row: LiveRow, vehicle: Vehicle, now_s: float
+    ) -> tuple[Estimate, Remaining]:
+        """Return estimate and remaining time after a row; refused if two senders speak for the battery."""
         gap_s = now_s - self._start_s + self._resumption.age_s
-        facts = self._facts_of(instance, vehicle)
+        facts = self._facts_of(row.instance, vehicle)
         estimate, remaining = tracked.step(row.sample, facts, gap_s, self._reader.navigation)
-        if conflict := self._reader.conflict(instance):
-            why = Notice(f"two senders speak for this battery: {conflict}", Kind.TWO_SENDERS)
-            estimate, remaining = _refused(estimate, remaining, why)
+        conflict = self._reader.conflict(row.instance)
+        if not conflict:
+            return estimate, remaining
+        why = Notice(f"two senders speak for this battery: {conflict}", Kind.TWO_SENDERS)
+        return _refused(estimate, remaining, why)
+
+    def _log_pack(self, instance: int, tracked: TrackedBattery, remaining: Remaining) -> None:
+        """Log the size of the pack when it becomes known or changes, or once why there is no estimate yet."""
         before, resolved = self.reports.get(instance), tracked.estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
+
+    def _report(
+        self,
+        tracked: TrackedBattery,
+        row: LiveRow,
+        vehicle: Vehicle,
+        now_s: float,
+        estimate: Estimate,
+        remaining: Remaining,
+    ) -> Report:
+        """Return the report of a battery after a row; before take-off with the endurance."""
+        before, resolved = self.reports.get(row.instance), tracked.estimator.pack_size
         flying_s, flown = row.sample.time_s - tracked.estimator.flying_since_s, tracked.flight_so_far
         report = Report(
-            instance=instance,
+            instance=row.instance,
             system=vehicle.system,
             component=vehicle.component,
             estimate=estimate,
@@ -121,10 +147,7 @@ class Batteries:
             flown_J=flown.flown_J,
             flown_s=flown.flown_s,
         )
-        if report.is_waiting:
-            report = replace(report, endurance=tracked.endurance(row.sample.time_s))
-        self.reports[instance] = report
-        return report
+        return replace(report, endurance=tracked.endurance(row.sample.time_s)) if report.is_waiting else report
 
     def _battery_of(self, instance: int, now_s: float) -> TrackedBattery:
         """Return the battery of this instance; a new one begins from its saved state, if there is one."""

@@ -1,4 +1,4 @@
-"""The clock by which the companion process and its proxy tell how old a thing is.
+"""The clock of the companion process and its proxy, from which the age of each value is worked out.
 
 A laptop that listens as a ground station sleeps when its lid is closed. Python's monotonic clock stands still then: a
 time left, or a saved state, of an hour ago would look a second old. The clock of the boot goes on.

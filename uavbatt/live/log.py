@@ -10,7 +10,10 @@ from uavbatt.mavlink.pipe import takes_bytes
 
 
 def tell(words: str, who: str = "uavbatt") -> None:
-    """Write a line to the log; a reader who has gone, or a terminal that is stopped, is neither waited nor died for."""
+    """Write a line to the log; drop it if nobody reads the log any more, or if the terminal is stopped.
+
+    The process neither waits nor ends because of its log.
+    """
     with suppress(OSError, ValueError):
         if _is_read():
             print(terminal_line(f"{who}: {words}"), file=sys.stderr, flush=True)

@@ -27,7 +27,7 @@ from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 
 ANNOUNCE_PERIOD_S = 0.25
-MOST_SAID = 8
+MOST_SAID = 8  # announcements that are kept for the page
 
 
 class Sender:
@@ -48,37 +48,56 @@ class Sender:
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
         """Send all that is due at `now_s` on the monotonic clock [s]."""
-        kinds, asks, reads = self._config.feed.kinds, self._config.link.request, self._config.link.request_mission
-        vehicle = reader.followed
-        system = (vehicle.system if vehicle is not None else self._config.link.system) or 1
-        own = self._out(system, self._config.link.own_component)
-        to_gcs: list[bytes] = []
-        to_autopilot: list[bytes] = []
-        if now_s >= self._beat_s:
-            self._beat_s = now_s + 1.0
-            if "named" in kinds:
-                to_gcs.append(own.heartbeat())
-            if asks or reads or not isinstance(self._link, ProxyClient):
-                to_autopilot.append(own.heartbeat())
+        link, vehicle = self._config.link, reader.followed
+        system = (vehicle.system if vehicle is not None else link.system) or 1
+        own = self._out(system, link.own_component)
+        to_gcs, to_autopilot = self._heartbeats(now_s, own)
         if vehicle is not None:
-            texts = self._announced(now_s, reports, vehicle, reader.navigation)
-            if "named" in kinds:
-                to_gcs += self._named.frames(now_s, reports, own)
-                to_gcs += [own.text(*text) for text in texts]
-            if "battery" in kinds:
-                to_gcs += self._component.frames(now_s, reports, vehicle.battery_ids, self._out(system, BATTERY))
-            component, known = vehicle.component or 1, vehicle.parameters
-            if asks:
-                names = parameter_names(vehicle.battery_ids, vehicle.is_px4 is True)
-                to_autopilot += self.requests.again(now_s, component, known.doubted, own)
-                to_autopilot += self.requests.frames(now_s, component, known.known, names, own)
-            if reads and reader.planned is None:
-                to_autopilot += self._mission.frames(now_s, vehicle.now_s, vehicle.route, component, own)
+            to_gcs += self._feeds(now_s, reports, vehicle, reader.navigation)
+            to_autopilot += self._asked(now_s, vehicle, own, has_mission=reader.planned is not None)
         for frame in to_autopilot:
-            if may_reach_autopilot(header(frame).message_id, asks, reads):
+            if may_reach_autopilot(header(frame).message_id, link.request, link.request_mission):
                 self._link.write(frame, now_s)
         for frame in to_gcs:
             self._to_gcs(frame, now_s)
+
+    def _heartbeats(self, now_s: float, own: Outgoing) -> tuple[list[bytes], list[bytes]]:
+        """Return the heartbeats that are due, for the ground stations and for the autopilot."""
+        link = self._config.link
+        if now_s < self._beat_s:
+            return [], []
+        self._beat_s = now_s + 1.0
+        may_go_up = link.request or link.request_mission or not isinstance(self._link, ProxyClient)
+        return (
+            [own.heartbeat()] if "named" in self._config.feed.kinds else [],
+            [own.heartbeat()] if may_go_up else [],
+        )
+
+    def _feeds(self, now_s: float, reports: Sequence[Report], vehicle: Vehicle, navigation: Navigation) -> list[bytes]:
+        """Return the frames about the batteries that are due: named values, announcements, battery component."""
+        kinds = self._config.feed.kinds
+        own = self._out(vehicle.system or 1, self._config.link.own_component)
+        texts = self._announced(now_s, reports, vehicle, navigation)  # also for the page
+        made: list[bytes] = []
+        if "named" in kinds:
+            made += self._named.frames(now_s, reports, own)
+            made += [own.text(*text) for text in texts]
+        if "battery" in kinds:
+            out = self._out(vehicle.system or 1, BATTERY)
+            made += self._component.frames(now_s, reports, vehicle.battery_ids, out)
+        return made
+
+    def _asked(self, now_s: float, vehicle: Vehicle, own: Outgoing, *, has_mission: bool) -> list[bytes]:
+        """Return the requests to the autopilot that are due, as far as the operator allows them."""
+        component, known, link = vehicle.component or 1, vehicle.parameters, self._config.link
+        made: list[bytes] = []
+        if link.request:
+            names = parameter_names(vehicle.battery_ids, vehicle.is_px4 is True)
+            made += self.requests.again(now_s, component, known.doubted, own)
+            made += self.requests.frames(now_s, component, known.known, names, own)
+        if link.request_mission and not has_mission:
+            made += self._mission.frames(now_s, vehicle.now_s, vehicle.route, component, own)
+        return made
 
     def begin_vehicle(self, now_s: float, following: VehicleChoice) -> None:
         """Drop the requests and announcements of the last vehicle, as another one is followed from now on.

@@ -35,6 +35,17 @@ EVENT_PERIOD_S = 0.25
 START = secrets.token_hex(8)  # differs in every process, because `clock_s` may begin again
 SAID_S = 120.0  # an announcement stays on the page for so long
 PAGE = Path(__file__).with_name("page.html")
+# Metrics of a battery: key of its output line -> name and help of the gauge.
+GAUGES = {
+    "soc": ("uavbatt_soc_ratio", "State of charge"),
+    "voltage_V": ("uavbatt_voltage_volts", "Pack voltage"),
+    "current_A": ("uavbatt_current_amperes", "Discharge current"),
+    "temp_C": ("uavbatt_temperature_celsius", "Pack temperature"),
+    "innovation_V": ("uavbatt_innovation_volts", "Voltage less its prediction"),
+    "age_s": ("uavbatt_sample_age_seconds", "Age of the last row"),
+}
+QUANTILES = {"0.05": "remaining_lo_s", "0.5": "remaining_s", "0.95": "remaining_hi_s"}
+COUNTERS = {"rows": "samples", "refused": "forecast_refused"}  # count of the process -> its name where that differs
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 # The menu of a companion computer (BlueOS) shows this about the service (/register_service).
 ABOUT = {
@@ -78,20 +89,12 @@ def metrics(board: Board, now_s: float) -> bytes:
     from prometheus_client.core import CounterMetricFamily
 
     registry = CollectorRegistry()
-    labels = ["battery"]
-    left = Gauge("uavbatt_remaining_seconds", "Time left in flight", [*labels, "quantile"], registry=registry)
-    gauges = {
-        "soc": Gauge("uavbatt_soc_ratio", "State of charge", labels, registry=registry),
-        "voltage_V": Gauge("uavbatt_voltage_volts", "Pack voltage", labels, registry=registry),
-        "current_A": Gauge("uavbatt_current_amperes", "Discharge current", labels, registry=registry),
-        "temp_C": Gauge("uavbatt_temperature_celsius", "Pack temperature", labels, registry=registry),
-        "innovation_V": Gauge("uavbatt_innovation_volts", "Voltage less its prediction", labels, registry=registry),
-        "age_s": Gauge("uavbatt_sample_age_seconds", "Age of the last row", labels, registry=registry),
-    }
-    state = Gauge("uavbatt_status", "1 for the status that holds", [*labels, "status"], registry=registry)
+    left = Gauge("uavbatt_remaining_seconds", "Time left in flight", ["battery", "quantile"], registry=registry)
+    gauges = {key: Gauge(name, words, ["battery"], registry=registry) for key, (name, words) in GAUGES.items()}
+    state = Gauge("uavbatt_status", "1 for the status that holds", ["battery", "status"], registry=registry)
     for report in board.reports:
         line, name = report.as_line(now_s), str(report.instance)
-        for quantile, key in (("0.05", "remaining_lo_s"), ("0.5", "remaining_s"), ("0.95", "remaining_hi_s")):
+        for quantile, key in QUANTILES.items():
             left.labels(name, quantile).set(_number(line[key]))
         for key, gauge in gauges.items():
             gauge.labels(name).set(_number(line[key]))
@@ -100,9 +103,8 @@ def metrics(board: Board, now_s: float) -> bytes:
 
     class Counters:
         def collect(self) -> list[CounterMetricFamily]:
-            names = {"rows": "samples", "refused": "forecast_refused"}
             return [
-                CounterMetricFamily(f"uavbatt_{names.get(key, key)}", f"{key} since the start", value=value)
+                CounterMetricFamily(f"uavbatt_{COUNTERS.get(key, key)}", f"{key} since the start", value=value)
                 for key, value in dict(board.counts).items()
             ]
 

@@ -23,7 +23,7 @@ from uavbatt.battery.state_space import SIZE, Belief, X, voltage
 from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
-from uavbatt.limits import rate_doubt
+from uavbatt.limits import rate_doubt, refuse_certain
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import NAN, Flight, PackFacts
@@ -101,8 +101,7 @@ def make_plan(battery: BatteryFile, resolved: PackSize, load: tuple[Load, str], 
     if isinstance(load[0], ConstantLoad):
         at_rate = load[0].power_W / (NOMINAL_CELL_V * resolved.cells * resolved.capacity_Ah)
         doubt = rate_doubt(f"{load[1]} on {resolved.cells}S {resolved.capacity_Ah:g} Ah is", at_rate)
-    if doubt is not None and doubt.is_certain:
-        raise UsageError(doubt.words)
+    refuse_certain(doubt)
     curve = at(CURVE_C)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
     warnings = (*filter(None, (resolved.uncertified, doubt.words if doubt is not None else "")), *resolved.notices)

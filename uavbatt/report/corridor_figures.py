@@ -168,7 +168,7 @@ def _frame(axes: Axes, band: Corridor, scale: float) -> None:
     if widest and max(widest) > 0:
         reach = 1.08 * scale * max(widest)
         axes.set_ylim(-reach, reach)
-    axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+    plot.zero_line(axes)
 
 
 def in_time(page: ValidationPage) -> Html:
@@ -189,7 +189,7 @@ def in_time(page: ValidationPage) -> Html:
             axes.plot(band.at, times - band.mean, ":", color=plot.RED, linewidth=1.8, label=name)
         model = _first_falls(page.model.time_s, page.model.voltage_V, band.at)
         axes.plot(band.at, model - band.mean, "x", color=plot.RED, markersize=6, label="model, held out")
-        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        plot.zero_line(axes)
         axes.invert_xaxis()
 
     alt = "Seconds earlier or later than the mean test at which each voltage is reached, with bands."
@@ -230,7 +230,7 @@ def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: 
         f"({bases['quasi-replicates']}); dotted: one run ({bases['one run']}), no dispersion known."
     )
     alt = f"{name} over time at {len(measured)} ambient temperatures from {low:g} to {high:g} °C."
-    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=270), title, note)
+    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity]), title, note)
 
 
 def _spread(values: Sequence[float], count: int) -> list[float]:

@@ -211,7 +211,7 @@ def _panel(
     def draw(axes: Axes) -> None:
         if floor is not None:
             axes.axhspan(-floor, floor, facecolor=plot.SHADE, linewidth=0, label="floor")
-        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        plot.zero_line(axes)
         for i, r in enumerate(records[: len(COLOURS)]):
             minutes = (r.time_s - r.time_s[0]) / 60.0
             axes.plot(minutes, scale * column(r), color=COLOURS[i], linewidth=1.0, label=Path(r.name).stem)

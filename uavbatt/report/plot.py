@@ -38,6 +38,7 @@ VARIABLES = {
 # Sizes in px of the page: two panels stand side by side, a wide one fills the page (68 rem of `page.css`).
 WIDTH, HEIGHT = 440.0, 280.0
 WIDE, WIDE_HEIGHT = 1100.0, 400.0
+TALL, LOW = 340.0, 200.0  # heights of a map and of the chart for a narrow screen; of a row of bars
 TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144  # of a picture file: a title row, its longest title
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
 LETTERS = 15.5  # font size [px]
@@ -92,7 +93,7 @@ def panel(
 ) -> Html:
     """Draw one pair of axes with its labels and its legend above; the left edges of all panels line up.
 
-    left, right : room beside the axes, for the labels there
+    height, width : [px]; left, right : room beside the axes, for the labels there [px]; legend_columns : at most
     unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing, and zooms it
     """
     frames: list[str] = []
@@ -177,9 +178,14 @@ def responsive(
     draw: Callable[[Axes], None], alt: str, *, x: str, y: str, right: float = RIGHT, unit_s: float = 0.0
 ) -> Html:
     """Draw a panel for a narrow screen and one for a wide screen; the page shows the one that fits."""
-    narrow = panel(draw, alt, x=x, y=y, height=340.0, right=right, legend_columns=2, unit_s=unit_s)
+    narrow = panel(draw, alt, x=x, y=y, height=TALL, right=right, legend_columns=2, unit_s=unit_s)
     wide = panel(draw, alt, x=x, y=y, height=WIDE_HEIGHT, width=WIDE, right=right, legend_columns=6, unit_s=unit_s)
     return together((element("div", narrow, css="narrow"), element("div", wide, css="wide")))
+
+
+def zero_line(axes: Axes) -> None:
+    """Draw the line of the value 0."""
+    axes.axhline(0.0, color=INK, linewidth=0.7)
 
 
 def legend_above(axes: Axes, columns: int) -> None:

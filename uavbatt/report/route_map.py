@@ -34,6 +34,6 @@ def route_map(
         axes.set_aspect("equal", adjustable="datalim")
 
     svg = plot.panel(
-        draw, "Map of the route in metres around home", x="east (m)", y="north (m)", height=340.0, legend_columns=4
+        draw, "Map of the route in metres around home", x="east (m)", y="north (m)", height=plot.TALL, legend_columns=4
     )
     return figure(svg, "The route from above", note)

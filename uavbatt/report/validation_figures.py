@@ -45,7 +45,7 @@ def _over_instants(claim: Claim) -> Html:
 
     def draw(axes: Axes) -> None:
         axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} {unit}")
-        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        plot.zero_line(axes)
         colour = COLOURS.get(claim.verdict, plot.INK)
         _points(axes, claim.at / 60.0, claim.bias * scale, claim.half_width * scale, colour)
         axes.plot([], [], "o-", color=colour, markersize=4.5, label="bias with its interval")
@@ -70,7 +70,7 @@ def over_ambient(claims: Sequence[Claim]) -> Html:
 
     def draw(axes: Axes) -> None:
         axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} mV")
-        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        plot.zero_line(axes)
         for verdict, marker in (("pass", "o"), ("fail", "X"), ("not enough data", "D")):
             mine = [(c, i) for c, i in zip(with_limit, middle, strict=True) if c.verdict == verdict]
             if mine:
@@ -153,7 +153,7 @@ def _stems(
             label = f"critical, {name}" if name not in labelled else "_"
             labelled.add(name)
             axes.axhline(value, color=looks[name][0], linewidth=1.2, linestyle=looks[name][1], label=label)
-        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        plot.zero_line(axes)
         middle = [j * (count + 2) + (count - 1) / 2.0 for j in range(len(samples))]
         axes.set_xticks(middle, [plot.literal(f"sample {s}") for s in samples])
         axes.grid(False, axis="x")
@@ -163,5 +163,5 @@ def _stems(
     first, last = levels[0].time_s / 60.0, levels[-1].time_s / 60.0
     alt = f"Mandel's {letter} of the {name} for {len(samples)} samples at {count} instants."
     x = f"one stem an instant, {first:g} to {last:g} min"
-    chart = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=200)
+    chart = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=plot.LOW)
     return figure(chart, f"Mandel's {letter}: consistency of {means}, {name}", note)

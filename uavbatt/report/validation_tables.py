@@ -177,38 +177,45 @@ def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
     mine = [row for row in levels if row.quantity == quantity]
     if not mine:
         return paragraph("Not measured in repeated tests.", css="quiet")
-    name, scale, unit, mean_unit, decimals = QUANTITY[quantity]
+    name, _, unit, mean_unit, _ = QUANTITY[quantity]
     few = any(row.precision.reproducibility != "ok" for row in mine)
     mark = " †" if few else ""
-    d = 1 if unit == "mV" else 3
-
-    def interval(pair: tuple[float, float]) -> str:
-        is_known = math.isfinite(pair[0])
-        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}" if is_known else DASH
-
-    body = []
-    for row in mine:
-        p = row.precision
-        body.append(
-            (
-                f"{row.time_s / 60:g}", number(p.mean, decimals), number(p.s_r * scale, d), interval(p.s_r_interval),
-                number(p.r * scale, d), number(p.s_L * scale, d), number(p.s_R * scale, d), interval(p.s_R_interval),
-                number(p.R * scale, d), _percent(p.A_r), _percent(p.A_R), str(p.n_total),
-            )
-        )  # fmt: skip
     head = ("min", f"mean ({mean_unit})", f"s_r ({unit})", "95 % interval", f"r ({unit})", f"s_L{mark} ({unit})",
             f"s_R{mark} ({unit})", "95 % interval", f"R{mark} ({unit})", "A_r", "A_R", "results")  # fmt: skip
+    body = [_precision_row(row, quantity) for row in mine]
     levels_table = table(head, body, f"{name}: precision per level (ISO 5725-2)", text_columns=())
-    notes = dict.fromkeys(n for row in mine for n in row.precision.notes if "negative" not in n)
-    negative = sum(any("negative" in n for n in row.precision.notes) for row in mine)
-    remarks = [*notes]
+    return together((levels_table, bullets(_precision_remarks(mine, few), css="quiet")))
+
+
+def _precision_row(row: LevelPrecision, quantity: str) -> tuple[str, ...]:
+    """Return the cells of one level; dispersions in the unit in which the page shows them."""
+    _, scale, unit, _, decimals = QUANTITY[quantity]
+    d, p = 1 if unit == "mV" else 3, row.precision
+
+    def shown(value: float) -> str:
+        return number(value * scale, d)
+
+    def interval(pair: tuple[float, float]) -> str:
+        return f"{shown(pair[0])} to {shown(pair[1])}" if math.isfinite(pair[0]) else DASH
+
+    return (
+        f"{row.time_s / 60:g}", number(p.mean, decimals), shown(p.s_r), interval(p.s_r_interval), shown(p.r),
+        shown(p.s_L), shown(p.s_R), interval(p.s_R_interval), shown(p.R), _percent(p.A_r), _percent(p.A_R),
+        str(p.n_total),
+    )  # fmt: skip
+
+
+def _precision_remarks(levels: Sequence[LevelPrecision], few: bool) -> list[str]:
+    """Return the notes under the table; `few`: too few samples for a statement on other packs."""
+    remarks = [*dict.fromkeys(n for row in levels for n in row.precision.notes if "negative" not in n)]
+    negative = sum(any("negative" in n for n in row.precision.notes) for row in levels)
     if negative:
         remarks.append(
-            f"the between-sample variance came out negative at {negative} of {len(mine)} levels and is set to 0"
+            f"the between-sample variance came out negative at {negative} of {len(levels)} levels and is set to 0"
         )
     if few:
         remarks.append("† too few samples: not reproducibility, and no statement on other packs of the make")
-    return together((levels_table, bullets(remarks, css="quiet")))
+    return remarks
 
 
 def _percent(share: float) -> str:

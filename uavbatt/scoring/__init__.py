@@ -1,1 +1,1 @@
-"""SCORES: forecasts are judged by what happened."""
+"""Scores: forecasts are compared with what happened."""

@@ -31,7 +31,7 @@ def end_of_flight(
     """Return the first time [s] at which the voltage under load is below `cutoff_V` [V]; NaN if it never is.
 
     Judged by the trailing 5 s mean, by the centred 3-row median where rows are slower than 5 s, and only at
-    rows whose current exceeds `min_current_A`. Rows without a voltage are passed over. The first 5 s, and
+    rows whose current exceeds `min_current_A`. Rows without a voltage are left out. The first 5 s, and
     the two outermost rows of a slow log, have no full window and are not judged.
     """
     time, volts = np.asarray(time_s, float), np.asarray(voltage_V, float)
@@ -54,7 +54,7 @@ def _median_of_three(values: Array) -> Array:
 
 
 def _trailing_mean(time_s: Array, values: Array) -> Array:
-    """Mean of the rows in (t - 5 s, t]; NaN until the first window is full."""
+    """Return the mean of the rows in (t - 5 s, t] at each row; NaN until the first window is full."""
     first = np.searchsorted(time_s, time_s - MEAN_WINDOW_S + 1e-6, side="left")
     sums = np.concatenate([[0.0], np.cumsum(values)])
     count = np.arange(1, time_s.size + 1)

@@ -70,7 +70,7 @@ def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple
 
 
 def percentage_interval(truth_s: ArrayLike, forecast_s: ArrayLike, hits: int) -> tuple[float, float]:
-    """Return (p, mean width [s]) of the plain rival of an interval: forecast +- p of itself.
+    """Return (p, mean width [s]) of a simple interval to compare with: the forecast +- p times itself.
 
     p is the least share that covers `hits` truths. A forecast of 0 (a refusal) is never covered. Raises ValueError
     unless `hits` is 1 to the number of truths.

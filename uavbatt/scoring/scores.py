@@ -2,8 +2,8 @@
 
 r* is the true remaining time, t_E the end of flight, [t_P, t_E] the window from the first line to the end. The
 forecast **in force** at an instant is the last line at or before it, less its age (what a display shows
-between two telemetry rows); older than `MAX_AGE_S` it counts as refused. A line is its median, 5 % and 95 %
-point, read as a distribution the way `metrics` says.
+between two telemetry rows); older than `forecast_lines.MAX_AGE_S` it counts as refused. A line is its median, 5 % and
+95 % point, read as a distribution the way `metrics` says.
 
 - MAE, bias: of forecast - r*, over flights, at `BEFORE_END_S` and `OF_FLIGHT`, with standard errors.
 - alpha-lambda: the mass inside (1 +- alpha) r* at t_P + lambda (t_E - t_P) is at least beta.
@@ -30,20 +30,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uavbatt.records import NAN
-from uavbatt.scoring.end_of_flight import end_of_flight
-from uavbatt.scoring.metrics import FloatArray, binomial_interval, crps_quantiles, mass_within
-
-__all__ = ["FlightScore", "Instant", "PooledScores", "ScoreRow", "end_of_flight", "pool", "score_flight"]
+from uavbatt.scoring.forecast_lines import MAX_AGE_S, ForecastLines
+from uavbatt.scoring.metrics import FloatArray, binomial_interval
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
 OF_FLIGHT = (0.25, 0.5, 0.75)
 ALPHAS, LAMBDA, BETA = (0.1, 0.2), 0.5, 0.5
 HORIZON_ALPHA = 0.1
 ALARM_S = 120.0
-MAX_AGE_S = 60.0
-"""The slowest telemetry scored so far has a row every 12 s and gaps of 30 s; beyond a minute it is silence."""
-CRA_FLOOR_S = 30.0
-"""Nearer to the end than this [s] the relative accuracy divides by next to nothing."""
+CRA_FLOOR_S = 30.0  # nearer to the end than this [s] the relative accuracy divides by next to nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,48 +82,6 @@ class FlightScore:
         return self.alarm_at_s - ALARM_S
 
 
-@dataclass(frozen=True, slots=True)
-class ForecastLines:
-    """ForecastLines holds forecasts as columns; `points` has rows of median, 5 % and 95 % point, NaN where refused."""
-
-    time_s: FloatArray
-    points: FloatArray
-    interval: bool
-
-    def in_force(self, at_s: FloatArray) -> ForecastLines:
-        """Return the forecasts that a display shows at the instants `at_s` [s]; NaN before the first line."""
-        row = np.searchsorted(self.time_s, at_s + 1e-6, side="right") - 1
-        age_s = np.where(row < 0, NAN, at_s - self.time_s[row])
-        left_s = np.where(age_s <= MAX_AGE_S, np.maximum(self.points[:, row] - age_s, 0.0), NAN)
-        return ForecastLines(at_s, left_s, self.interval)
-
-    def as_scored(self) -> FloatArray:
-        """Return `points` with a refusal as a sure 0 s, and a median that has no interval as a sure median."""
-        median, lo, hi = np.where(np.isnan(self.points[0]), NAN, self.points)
-        median = np.nan_to_num(median, nan=0.0)
-        return np.stack([median, np.where(np.isnan(lo), median, lo), np.where(np.isnan(hi), median, hi)])
-
-    def inside(self, truth_s: FloatArray) -> FloatArray:
-        """Return 1 where the interval holds the truth, else 0; NaN throughout for a method without intervals."""
-        _, lo, hi = np.where(np.isnan(self.points[0]), NAN, self.points)
-        return np.where(self.interval, (lo <= truth_s) & (truth_s <= hi), NAN)
-
-    def width_s(self) -> FloatArray:
-        """Return the width hi - lo [s] of every line; NaN where there is none."""
-        return np.where(self.interval & np.isfinite(self.points[0]), self.points[2] - self.points[1], NAN)
-
-    def crps_s(self, truth_s: FloatArray) -> FloatArray:
-        """Return the CRPS [s] of every line."""
-        median, lo, hi = self.as_scored()
-        return crps_quantiles(truth_s, lo, median, hi)
-
-    def mass(self, truth_s: FloatArray, half_band_s: FloatArray | float) -> FloatArray:
-        """Return the probability of truth +- half band of every line; 0 where it is refused."""
-        median, lo, hi = self.as_scored()
-        within = mass_within(truth_s - half_band_s, truth_s + half_band_s, lo, median, hi)
-        return np.where(np.isnan(self.points[0]), 0.0, within)  # near the end even 0 s would lie in the band
-
-
 def score_flight(
     name: str,
     time_s: ArrayLike,
@@ -149,12 +102,7 @@ def score_flight(
     interval = lo_s is not None and hi_s is not None
     points = [remaining_s, lo_s if interval else remaining_s, hi_s if interval else remaining_s]
     alarm = remaining_s if alarm_remaining_s is None else alarm_remaining_s
-    table = np.array([time_s, *points, alarm], dtype=float)
-    table = table[:, (table[0] < end_s) & (table[0] >= (-math.inf if start_s is None else start_s))]
-    if np.any(np.diff(table[0]) < 0.0):
-        raise ValueError(f"{name}: expected forecast lines in the order of time")
-    if not math.isfinite(end_s) or table.shape[1] == 0:
-        raise ValueError(f"{name}: expected a finite end and forecast lines before it, found end_s = {end_s}")
+    table = _before_end(name, np.array([time_s, *points, alarm], dtype=float), start_s, end_s)
     lines = ForecastLines(table[0], table[1:4], interval)
     begin_s = float(table[0, 0]) if start_s is None else start_s
     truth_s = end_s - lines.time_s
@@ -181,6 +129,19 @@ def score_flight(
     )
 
 
+def _before_end(name: str, table: FloatArray, start_s: float | None, end_s: float) -> FloatArray:
+    """Return the columns of the lines from the start to the end of a flight; the first row of the table is their time.
+
+    Raises ValueError if the lines are not in the order of time, if there are none, or if the end is not known.
+    """
+    table = table[:, (table[0] < end_s) & (table[0] >= (-math.inf if start_s is None else start_s))]
+    if np.any(np.diff(table[0]) < 0.0):
+        raise ValueError(f"{name}: expected forecast lines in the order of time")
+    if not math.isfinite(end_s) or table.shape[1] == 0:
+        raise ValueError(f"{name}: expected a finite end and forecast lines before it, found end_s = {end_s}")
+    return table
+
+
 def _mean(values: ArrayLike) -> float:
     """Return the mean of the known values; NaN if none is known."""
     finite = np.asarray(values, float)
@@ -188,12 +149,16 @@ def _mean(values: ArrayLike) -> float:
     return float(np.mean(finite)) if finite.size else NAN
 
 
+def _instant_times_s(begin_s: float, end_s: float) -> dict[str, float]:
+    """Return the label and the time [s] of each usual instant: before the end, and at a part of the flight."""
+    before = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
+    return before | {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}
+
+
 def _instants(lines: ForecastLines, begin_s: float, end_s: float) -> dict[str, Instant]:
     """Return the forecasts in force at the usual instants that the lines reach."""
-    times_s = {f"{left_s:g} s": end_s - left_s for left_s in BEFORE_END_S}
-    times_s |= {f"{part:.0%}": begin_s + part * (end_s - begin_s) for part in OF_FLIGHT}
     instants: dict[str, Instant] = {}
-    for label, at_s in times_s.items():
+    for label, at_s in _instant_times_s(begin_s, end_s).items():
         if at_s < lines.time_s[0] - 1e-6:
             continue
         line, truth_s = lines.in_force(np.array([at_s])), np.array([end_s - at_s])
@@ -260,7 +225,7 @@ def pool(scores: Iterable[FlightScore]) -> PooledScores:
     every = tuple(scores)
     if not every:
         raise ValueError("expected at least one scored flight")
-    labels = [f"{left_s:g} s" for left_s in BEFORE_END_S] + [f"{part:.0%}" for part in OF_FLIGHT]
+    labels = _instant_times_s(0.0, 1.0)
     reached = {label: [score.at[label] for score in every if label in score.at] for label in labels}
     return PooledScores(
         flights=len(every),

@@ -102,10 +102,10 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
     home = dataset.at(ambient_C)
     runs = [r for r in home if sum(q.sample == r.sample for q in home) > 1]
     fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    error = fit.standard_errors
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
-    # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
-    # ties the charge down again, so that half of it stays with the capacity.
+    # With an unmetered load, ohm·Ah and capacity are as uncertain as the C-rate: by the prior, 1.5 of 8 C. The time of
+    # the knee shows the charge, which halves the uncertainty of the capacity.
     unknown_rate = load.sd / load.prior
     names = [s.name for s in fit.slots]
     i, j = names.index("c_rate"), names.index("r0_ohmAh")
@@ -125,8 +125,8 @@ def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
 
 
 def _metered(dataset: DataSet) -> ShippedModel:
-    fit = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
-    error = {s.name: fit.standard_error(s.name) for s in fit.slots}
+    fit = solve.fit_cell(observed.stack(observed.from_dataset(dataset)))
+    error = fit.standard_errors
     table = assemble.parameter_table(fit.slots, fit.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
     entries = assemble.effect_entries(fit.slots, fit.x, error, prior.BASE_EFFECTS)
     return ShippedModel(table, entries, dataset.capacity_Ah, {})

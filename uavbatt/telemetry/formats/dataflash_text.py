@@ -33,51 +33,75 @@ class _Lines:
         self.values.append(values)
 
 
-def read_dataflash_text(data: bytes) -> LogBuilder:
-    """Read all batteries' rows and the parameters of a text DataFlash log."""
-    log = LogBuilder()
-    layouts: dict[str, RowLayout] = {}
-    wanted: dict[RowLayout, _Lines] = {}
-    telling: dict[RowLayout, _Lines] = {}
-    of_route: dict[RowLayout, _Lines] = {}
-    head: list[str] = []
+Lines = dict[RowLayout, _Lines]
+
+
+@dataclass(slots=True)
+class _Scan:
+    """_Scan sorts the lines of one file by what they are for; it is mutable.
+
+    head : the words before the first description of a layout; first, last : the first and the last line with a time
+    """
+
+    layouts: dict[str, RowLayout] = field(default_factory=dict)
+    rows: Lines = field(default_factory=dict)
+    identity: Lines = field(default_factory=dict)
+    route: Lines = field(default_factory=dict)
+    head: list[str] = field(default_factory=list)
     first: Moment | None = None
     last: Moment | None = None
-    for place, line in enumerate(data.splitlines(keepends=True)):
+    skipped_bytes: int = 0
+
+    def take(self, place: int, line: bytes) -> None:
+        """Take in one line; `place` counts the lines."""
         cells = [cell.strip() for cell in line.decode("latin-1").split(",")]
         if cells[0] == "FMT":
-            _learn(cells, layouts)
-            continue
-        layout = layouts.get(cells[0])
+            _learn(cells, self.layouts)
+            return
+        layout = self.layouts.get(cells[0])
         if layout is None:
-            if not layouts:
-                head.append(cells[0])
-            continue
+            if not self.layouts:
+                self.head.append(cells[0])
+            return
+        is_damaged = False
+        is_whole = line.endswith((b"\n", b"\r"))
         if WANTED.match(layout.name):
-            values = _values(layout, cells[1:], whole=line.endswith((b"\n", b"\r")))
-            if values is None:
-                log.skipped_bytes += len(line)
-                continue
-            wanted.setdefault(layout, _Lines()).add(place, values)
+            is_damaged = not _added(self.rows, layout, place, _values(layout, cells[1:], is_whole))
         elif TELLING.match(layout.name):
             # text may hold commas; such a damaged line costs no row and is not counted
-            values = _values(layout, [*cells[1 : len(layout.labels)], ", ".join(cells[len(layout.labels) :])], True)
-            if values is not None:
-                telling.setdefault(layout, _Lines()).add(place, values)
+            last = len(layout.labels)
+            _added(self.identity, layout, place, _values(layout, [*cells[1:last], ", ".join(cells[last:])], True))
+        if is_damaged:
+            self.skipped_bytes += len(line)
+            return
         if OF_ROUTE.match(layout.name):
-            values = _values(layout, cells[1:], whole=line.endswith((b"\n", b"\r")))
-            if values is not None:
-                of_route.setdefault(layout, _Lines()).add(place, values)
+            _added(self.route, layout, place, _values(layout, cells[1:], is_whole))
         if layout.ticks_per_s > 0 and len(cells) > 1:
-            last = Moment(place, _number(cells[1]) / layout.ticks_per_s)
-            first = first or last
-    log.identity = identity(_tables(telling), first, head)
-    clock = fold(_tables(wanted), first, last, log)
-    log.navigation = navigation(_tables(of_route), clock, log.identity.firmware, log.parameters)
+            self.last = Moment(place, _number(cells[1]) / layout.ticks_per_s)
+            self.first = self.first or self.last
+
+
+def _added(lines: Lines, layout: RowLayout, place: int, values: list[Value] | None) -> bool:
+    """Add the values of a line to those of its layout; return False for a damaged line, which has none."""
+    if values is not None:
+        lines.setdefault(layout, _Lines()).add(place, values)
+    return values is not None
+
+
+def read_dataflash_text(data: bytes) -> LogBuilder:
+    """Read all batteries' rows and the parameters of a text DataFlash log."""
+    scan = _Scan()
+    for place, line in enumerate(data.splitlines(keepends=True)):
+        scan.take(place, line)
+    log = LogBuilder()
+    log.skipped_bytes += scan.skipped_bytes
+    log.identity = identity(_tables(scan.identity), scan.first, scan.head)
+    clock = fold(_tables(scan.rows), scan.first, scan.last, log)
+    log.navigation = navigation(_tables(scan.route), clock, log.identity.firmware, log.parameters)
     return log
 
 
-def _tables(lines: dict[RowLayout, _Lines]) -> list[Table]:
+def _tables(lines: Lines) -> list[Table]:
     return [_table(layout, own) for layout, own in lines.items()]
 
 
@@ -97,7 +121,7 @@ def _learn(cells: list[str], layouts: dict[str, RowLayout]) -> None:
         layouts[cells[3]] = RowLayout(cells[3], cells[4], tuple(cells[5:]))
 
 
-def _values(layout: RowLayout, cells: list[str], whole: bool) -> list[Value] | None:
+def _values(layout: RowLayout, cells: list[str], is_whole: bool) -> list[Value] | None:
     """Return the values of one line; None if the line is damaged.
 
     A last line without its line end may be cut inside its last number, which is then unknown.
@@ -110,7 +134,7 @@ def _values(layout: RowLayout, cells: list[str], whole: bool) -> list[Value] | N
         ]
     except ValueError:
         return None
-    if not whole:
+    if not is_whole:
         values[-1] = NAN
     return values
 

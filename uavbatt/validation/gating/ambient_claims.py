@@ -109,5 +109,5 @@ def _series_offset(dataset: DataSet, held_out: HeldOut, single: HeldOutRun) -> A
         return np.zeros(single.time_s.size)
     if not home:
         return np.full(single.time_s.size, math.nan)
-    repeats = np.interp(single.time_s, held_out.time_s, np.nanmean(held_out.measured_V, axis=(0, 1)))
+    repeats = np.interp(single.time_s, held_out.time_s, held_out.mean_V)
     return np.abs(np.interp(single.time_s, home[0].time_s, home[0].voltage_V) - repeats)

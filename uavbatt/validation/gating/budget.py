@@ -157,7 +157,7 @@ def reading_half_width_s(held_out: HeldOut, instruments: Uncertainty) -> tuple[f
 
 def loaded_slope(held_out: HeldOut) -> Array:
     """Return |dV/dt| of the mean test [V/s] by second-order differences, never across the start of the load."""
-    mean_V = np.nanmean(held_out.measured_V, axis=(0, 1))
+    mean_V = held_out.mean_V
     out = np.zeros(mean_V.size)
     load = ~held_out.at_rest
     if int(load.sum()) >= 3:
@@ -168,7 +168,7 @@ def loaded_slope(held_out: HeldOut) -> Array:
 def voltage_budget(held_out: HeldOut, at: NDArray[np.intp], residual: Array, instruments: Uncertainty) -> Budget:
     """Build the budget of the voltage bias [V] at the instants with indices `at`; `residual` [occasion, instant]."""
     half_s, how = reading_half_width_s(held_out, instruments)
-    mean_V = np.nanmean(held_out.measured_V, axis=(0, 1))[at]
+    mean_V = held_out.mean_V[at]
     moment = BudgetRow(
         "instant of reading", "B", loaded_slope(held_out)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
     )

@@ -1,4 +1,4 @@
-"""The gate asks whether the model is equivalent to the tests, within limits declared for flight safety.
+"""The gate decides if the model is equivalent to the tests, within limits declared for flight safety.
 
 Two one-sided tests per instant: the interval of the bias (model minus mean of the held-out occasions) must lie inside
 ±limit. It is simultaneous over the instants and holds both the scatter of the occasions and what that scatter cannot
@@ -120,7 +120,7 @@ def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
 
 def judged_instants(held_out: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
     """Return the indices of the instants at which the mean of the tests is judged (`before_limiter`)."""
-    return before_limiter(np.nanmean(held_out.measured_V, axis=(0, 1)), limits, cutoff_V)
+    return before_limiter(held_out.mean_V, limits, cutoff_V)
 
 
 def before_limiter(voltage_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:

@@ -77,6 +77,12 @@ class HeldOut:
         return out
 
     @property
+    def mean_V(self) -> Array:
+        """Return the mean of the measured voltages [V] at each level."""
+        out: Array = np.nanmean(self.measured_V, axis=(0, 1))
+        return out
+
+    @property
     def at_rest(self) -> NDArray[np.bool_]:
         """Return the marks of the instants before the load; unless `rest` tells them, of the one at 0 s."""
         return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
@@ -217,7 +223,7 @@ def _metered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects:
 def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
     training = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
-    fit = solve.fit_battery(observed.stack(observed.from_dataset(training)), effects)
+    fit = solve.fit_cell(observed.stack(observed.from_dataset(training)), effects)
     tested = [*out, *others]
     stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
     run = solve.replay_fit(stack, fit, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))

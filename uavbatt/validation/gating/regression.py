@@ -4,10 +4,10 @@
     p(t,T) = p₀ + p₁θ + p₂θ² + a·exp(-t/τ) - q₁s - q₂s²                              plateau
     V(t,T) = f + h·ln(1 + exp((p - d·w·ln(1 + exp((s-1)/w)) - f)/h))                 knee, then the limiter's floor
 
-t counts from the start of the load; before it the voltage is e₀. It knows neither current nor heat: it holds for the
-load of the tests and for nothing else. A rival to the circuit model, gated on the same held-out occasions; it does
-not ship. One-time curves that come from other series than the repeats have a level and a knee of their own, so that
-a step between series does not pass for an effect of temperature; where they divide is taken from all of them.
+t counts from the start of the load; before it the voltage is e₀. The model contains neither current nor heat: it holds
+for the load of the tests only. It is compared with the circuit model on the same held-out occasions, and does not ship.
+One-time curves of other series than the repeats have a level and a knee time of their own, so that a step between
+series does not look like an effect of temperature. The breaks between the series are found from all tests.
 """
 
 from __future__ import annotations
@@ -29,6 +29,12 @@ from uavbatt.validation.judging.readings import Readings
 
 READING_SD_V, TIMING_SD_S = 0.02, 6.0  # a voltmeter read by hand, at a time taken from a watch
 FLOOR_WIDTH_V = 0.02  # a cell
+STEP_K = 25.0  # of theta: the study's ambient temperatures lie about so far apart
+SAME_AMBIENT_K = 0.25  # chambers are set to half a degree
+# A series of tests differs from another by its level [V a cell] and by ln of its knee time: sds of both.
+SERIES_LEVEL_SD_V, SERIES_KNEE_SD = 0.1, 0.2
+ROBUST_SDS = 3.0  # a residual beyond counts less than its square
+EVALUATIONS, CLOSE_ENOUGH = 60, 1e-5  # of the fit, at most; relative change of the cost at which it ends
 NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", "ln_w", "f", "e0")
 
 
@@ -63,7 +69,7 @@ class Regression:
 def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Array, cells: int) -> Array:
     """Compute V(t, T) [V] of the coefficients x by the equations of the module; times [s], temperatures [°C]."""
     p0, p1, p2, a, ln_tau, q1, q2, ln_t0, c1, c2, d, ln_w, f, e0 = x
-    theta, w, h = (ambient_C - REFERENCE_TEMP_C) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
+    theta, w, h = (ambient_C - REFERENCE_TEMP_C) / STEP_K, math.exp(ln_w), FLOOR_WIDTH_V * cells
     t = np.maximum(time_s, 0.0)
     s = t / np.exp(ln_t0 + ln_knee + c1 * theta + c2 * theta**2)
     plateau = p0 + level_V + p1 * theta + p2 * theta**2 + a * np.exp(-t / math.exp(ln_tau)) - q1 * s - q2 * s**2
@@ -95,7 +101,7 @@ def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTab
 def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
     """Return (start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
     distance_C = np.abs(rows.ambient_C - REFERENCE_TEMP_C)
-    near = distance_C <= np.min(distance_C) + 0.25  # chambers are set to half a degree
+    near = distance_C <= np.min(distance_C) + SAME_AMBIENT_K
     load = near & (rows.time_s >= 0.0)
     first, last = float(np.max(rows.voltage_V[load])), float(np.min(rows.voltage_V[load]))
     end_s = float(np.max(rows.time_s[load]))
@@ -103,17 +109,31 @@ def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
     e0 = float(np.mean(rest)) if rest.size else first
     # Sizes of the study's 3S curves, and sds so wide that they only keep a coefficient finite that nothing shows.
     c = cells / 3.0
-    start = [first, 0.0, 0.0, 0.2 * c, math.log(60.0), 0.5 * c, 0.2 * c, math.log(0.8 * end_s), 0.0, 0.0, 6.0 * c,
-             math.log(0.05), last, e0]  # fmt: skip
-    sd = [1.0 * c, 0.5 * c, 0.3 * c, 0.4 * c, 0.7, 1.0 * c, 1.0 * c, 0.3, 0.3, 0.2, 4.0 * c, 0.7, 0.05 * c, 0.1 * c]
+    prior = {
+        "p0": (first, 1.0 * c),
+        "p1": (0.0, 0.5 * c),
+        "p2": (0.0, 0.3 * c),
+        "a": (0.2 * c, 0.4 * c),
+        "ln_tau": (math.log(60.0), 0.7),
+        "q1": (0.5 * c, 1.0 * c),
+        "q2": (0.2 * c, 1.0 * c),
+        "ln_t0": (math.log(0.8 * end_s), 0.3),
+        "c1": (0.0, 0.3),
+        "c2": (0.0, 0.2),
+        "d": (6.0 * c, 4.0 * c),
+        "ln_w": (math.log(0.05), 0.7),
+        "f": (last, 0.05 * c),
+        "e0": (e0, 0.1 * c),
+    }
+    start, sd = zip(*(prior[name] for name in NAMES), strict=True)
     return np.array(start), np.array(sd)
 
 
 def fit_regression(rows: RunTable, cells: int) -> Regression:
-    """Fit the most probable coefficients under wide priors; the loss is robust beyond three sigma."""
+    """Fit the most probable coefficients under wide priors; outliers beyond ROBUST_SDS count less."""
     start, sd = guess(rows, cells)
     others, n = int(rows.series.max()), len(NAMES)
-    spread = np.concatenate([sd, np.tile([0.1 * cells, 0.2], others)])
+    spread = np.concatenate([sd, np.tile([SERIES_LEVEL_SD_V * cells, SERIES_KNEE_SD], others)])
 
     def unpacked(u: Array) -> Regression:
         x = spread * u
@@ -123,7 +143,13 @@ def fit_regression(rows: RunTable, cells: int) -> Regression:
         misfit = (unpacked(u).voltage(rows.time_s, rows.ambient_C, rows.series) - rows.voltage_V) / rows.sigma_V
         return np.concatenate([misfit, u])
 
-    solution = least_squares(objective, np.zeros(spread.size), loss="soft_l1", f_scale=3.0, max_nfev=60, ftol=1e-5)
+    solution = least_squares(
+        *(objective, np.zeros(spread.size)),
+        loss="soft_l1",
+        f_scale=ROBUST_SDS,
+        max_nfev=EVALUATIONS,
+        ftol=CLOSE_ENOUGH,
+    )
     return unpacked(np.asarray(solution.x))
 
 
@@ -138,30 +164,27 @@ def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
 
 def held_out(readings: Readings) -> HeldOut:
     """Predict each occasion, and its share of the one-time runs, by a regression fitted to the others."""
-    dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
-    number, others = series_of(readings, levels), other_runs(tests, levels)
-    starts = {(r.sample, r.run, r.ambient_C): load_start_s(r) for r in dataset.runs}
-    home = [r for r in tests.at(levels.ambient_C) if r.sample in levels.samples]
-    volts, curves, singles = np.full(levels.values.shape, np.nan), [], []
+    dataset, levels = readings.dataset, repeats(readings)
+    number, others = series_of(readings, levels), other_runs(readings.tests, levels)
+    home = [r for r in readings.tests.at(levels.ambient_C) if r.sample in levels.samples]
+    volts, curves, singles = np.full(levels.values.shape, np.nan), list[Curve](), list[HeldOutRun]()
     for k, occasion in enumerate(levels.occasions):
         out = others[k :: len(levels.occasions)]
         training = [r for r in home if r.run != occasion] + [r for r in others if r not in out]
-        begin = [starts[r.sample, r.run, r.ambient_C] for r in training]
-        fit = fit_regression(
-            rows_of(training, begin, _consecutive([number(r) for r in training])), dataset.cells_series
-        )
-        blocks = sorted({number(r) for r in training} | {0})
+        series = [number(r) for r in training]
+        starts_s = [load_start_s(r) for r in training]
+        fit = fit_regression(rows_of(training, starts_s, _consecutive(series)), dataset.cells_series)
         for run in dataset.at(levels.ambient_C):
             if run.sample in levels.samples and run.run == occasion:
-                at, t0 = levels.samples.index(run.sample), starts[run.sample, run.run, run.ambient_C]
-                volts[k, at] = fit.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
+                at = levels.samples.index(run.sample)
+                volts[k, at] = _voltage(fit, run, levels.time_s)
                 if fast_records.is_fast(run):
-                    curves.append(_curve(fit, run, k, at, t0))
+                    curves.append(_curve(fit, run, k, at))
+        known = sorted({0, *series})
         for run in out:
-            block = blocks.index(number(run)) if number(run) in blocks else 0
-            t = run.time_s - starts[run.sample, run.run, run.ambient_C]
-            model = fit.voltage(t, np.full(t.size, run.ambient_C), block)
-            singles.append(HeldOutRun(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
+            block = known.index(number(run)) if number(run) in known else 0
+            model_V = _voltage(fit, run, run.time_s, block)
+            singles.append(HeldOutRun(run.ambient_C, run.sample, run.time_s, run.voltage_V, model_V))
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
         model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,
@@ -170,12 +193,18 @@ def held_out(readings: Readings) -> HeldOut:
     )  # fmt: skip
 
 
+def _voltage(fit: Regression, run: Run, time_s: Array, series: int = 0) -> Array:
+    """Return the voltage [V] of a run at `time_s` [s] of its record, as a run of this series in the fit."""
+    return fit.voltage(time_s - load_start_s(run), np.full(time_s.size, run.ambient_C), series)
+
+
 def _consecutive(series: list[int]) -> list[int]:
+    """Return the numbers of the series, counted without gaps: 0, which is always there, then the others in order."""
     order = sorted({0, *series})
     return [order.index(s) for s in series]
 
 
-def _curve(fit: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
+def _curve(fit: Regression, run: Run, occasion: int, sample: int) -> Curve:
+    """Return a fast record and its prediction, both smoothed; `occasion` and `sample` are their places in the table."""
     own = fast_records.weights(run.time_s, fast_records.phases(run.current_A), run.time_s)
-    model = fit.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
-    return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ model)
+    return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ _voltage(fit, run, run.time_s))

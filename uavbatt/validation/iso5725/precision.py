@@ -6,7 +6,7 @@ Model y = m + B + e (ISO 5725-1). With p cells (samples, laboratories) of n_i re
     n̄    = [Σn_i - Σn_i²/Σn_i] / (p-1)          s_L² = (s_d² - s_r²)/n̄, 0 if negative
     s_R² = s_r² + s_L²                          r = 2.8 s_r,  R = 2.8 s_R  (2.8 = 1.96·√2 rounded)
 
-Unequal n_i are allowed. With fewer than three cells the between-cell part is a number without worth (its 95 %
+Unequal n_i are allowed. With fewer than three cells the between-cell part says nothing (its 95 %
 interval spans a factor of 70) and is not called reproducibility.
 """
 

@@ -1,4 +1,4 @@
-"""Random numbers of the tests of the results: the same in every run, so that a verdict can be repeated."""
+"""Random numbers for the permutation tests: the same in every run, so that a verdict can be repeated."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Drift over the order of the runs: the study's rule, von Neumann/Abbe, Mann-Kendall, slope, step.
 
-The study's rule |d̄| < 0.2σ sees only the first and the last run and raises 22 % false alarms on pure noise; it is
+The study's rule |d̄| < 0.2σ uses only the first and the last run and raises 22 % false alarms on pure noise; it is
 kept for the record. The others have p-values: Abbe and the step by permuting the runs (seeded, ties handled by
 themselves), Mann-Kendall exactly (also with ties), the slope by Student's t.
 """

@@ -1,4 +1,4 @@
-"""Tests of what the results seem to be: independent samples, one population, resolved by the instrument.
+"""Tests of three assumptions: samples are independent, results of one population, and resolved by the instrument.
 
 Independence: if run k of two samples were unrelated, pairing the runs at random would give as many identical
 readings, and residuals as correlated, as the order in the table. Permutation p-values, every order tried up to
