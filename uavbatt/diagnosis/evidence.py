@@ -27,6 +27,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
+from uavbatt.diagnosis.meter_noise import noise_V, resting_noise_V
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -44,7 +45,6 @@ START_OHMAH, LEAST_START = 0.05, 0.05  # of a cell that has just been loaded; no
 ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
 IDLE_NOISE_A = 0.15  # an offset is seen at rest to within that
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
-FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
 
 Rows = NDArray[np.intp]
 
@@ -155,12 +155,12 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     spread = _wander(file, float(records[0].cells))
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
-    steep_V = _steep_V(file, ocv_soc, records[0].cells)
+    steep_V, resting_V = _steep_V(file, ocv_soc, records[0].cells), resting_noise_V(records)
     start_soc, start_sd, in_part = _starts(stack, ocv_soc)
     return Evidence(
         stack=stack,
         volts=tuple(
-            _voltage_whitener(stack, j, start_soc[j], spread, noise_V(r, ohm), (ocv_soc[0], steep_V))
+            _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
         temps=tuple(_temperature_whitener(stack, j, spread) for j in range(len(records))),
@@ -215,23 +215,15 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
-def noise_V(record: ObservedRecord, ohm: float) -> float:
-    """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
-
-    It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
-    and noise of one sensor alone is left, which the model cannot follow.
-    """
-    spacing_s = float(np.median(np.diff(record.time_s)))
-    if spacing_s > FAST_ROW_S:
-        return 0.0
-    bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    bent_by_one = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(bent_by_one * observed.BIN_S / spacing_s))
-
-
 def _voltage_whitener(
-    stack: Stack, j: int, start_soc: float, spread: Wander, noise_sd_V: float, steep_V: tuple[Array, Array]
+    stack: Stack,
+    j: int,
+    start_soc: float,
+    spread: Wander,
+    noise_sd_V: tuple[float, float],
+    steep_V: tuple[Array, Array],
 ) -> Whitener:
+    """Return the whitening of a record's voltages; noise_sd_V : noise [V] of all rows, and of those at rest."""
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
@@ -245,7 +237,8 @@ def _voltage_whitener(
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, decay, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    return _whitener(rows, ~loaded, kernel, max(spread.voltage_noise_V, noise_sd_V))
+    noise_V = np.where(loaded, 0.0, noise_sd_V[1])
+    return _whitener(rows, ~loaded, kernel, np.maximum(noise_V, max(spread.voltage_noise_V, noise_sd_V[0])))
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
@@ -276,7 +269,7 @@ def _temperature_whitener(stack: Stack, j: int, spread: Wander) -> Whitener | No
     return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, spread.temperature_noise_K)
 
 
-def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
+def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: Array | float) -> Whitener:
     factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
     sd = np.sqrt(np.sum(factor**2, axis=1))
     return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)

@@ -201,8 +201,7 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
     """Bin, split and pad the records to the same length, side by side.
 
     sigma_V : from `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage, because near the
-    end
-    a model that is late by a few seconds is good, though it is off by volts; weight : share of an independent row
+    end a model that is late by a few seconds is good, though it is off by volts; weight : share of an independent row
     """
     fine = [_split(binned(r)) for r in records]
     rows = max(len(f["time_s"]) for f in fine)
