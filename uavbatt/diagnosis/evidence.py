@@ -27,6 +27,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
+from uavbatt.diagnosis.meter_noise import noise_V, resting_noise_V, spacing_s
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -44,7 +45,6 @@ START_OHMAH, LEAST_START = 0.05, 0.05  # of a cell that has just been loaded; no
 ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
 IDLE_NOISE_A = 0.15  # at rest an offset of the current is known to within this
 COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
-FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
 
 Rows = NDArray[np.intp]
 
@@ -76,8 +76,10 @@ class Evidence:
     known_ambient: Array
     start_soc: Array
     start_sd: Array
+    full_soc: float
     charged_in_part: NDArray[np.bool_]  # rested well below full: the start is known to be another than believed
     familiar: NDArray[np.bool_]  # begins no colder than what the file's error was learned on
+    shows_delay: bool  # rows come often enough to tell a late current from the instant of a step of the load
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,7 +92,7 @@ class Evidence:
         full = self.charged_in_part
         return replace(
             self,
-            start_soc=np.where(full, 1.0, self.start_soc),
+            start_soc=np.where(full, self.full_soc, self.start_soc),
             start_sd=np.where(full, FULL_SD, self.start_sd),
             charged_in_part=np.zeros_like(full),
         )
@@ -155,12 +157,13 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     spread = _wander(file, float(records[0].cells))
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
-    steep_V = _steep_V(file, ocv_soc, records[0].cells)
-    start_soc, start_sd, in_part = _starts(stack, ocv_soc)
+    steep_V, resting_V = _steep_V(file, ocv_soc, records[0].cells), resting_noise_V(records)
+    full_soc = spread.start_soc or 1.0
+    start_soc, start_sd, in_part = _starts(stack, ocv_soc, full_soc)
     return Evidence(
         stack=stack,
         volts=tuple(
-            _voltage_whitener(stack, j, start_soc[j], spread, noise_V(r, ohm), (ocv_soc[0], steep_V))
+            _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
         temps=tuple(_temperature_whitener(stack, j, spread) for j in range(len(records))),
@@ -168,8 +171,10 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,
+        full_soc=full_soc,
         charged_in_part=in_part,
         familiar=np.array([_cold(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
+        shows_delay=all(spacing_s(r) <= observed.BIN_S for r in records),
     )
 
 
@@ -201,37 +206,29 @@ def _content(record: ObservedRecord) -> tuple[float, ...]:
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
 
-def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _starts(stack: Stack, ocv_soc: tuple[Array, Array], full_soc: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
-    A pack that rests near full counts as full. If it rests lower, the voltage shows its charge. Under load the start is
-    a guess.
+    A pack that rests near full counts as full: it has the charge `full_soc` of the battery file's full packs. If it
+    rests lower, the voltage shows its charge. Under load the start is a guess.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_OHMAH)
     guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), LEAST_START, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
-    centre = np.where(full, 1.0, guess)
+    centre = np.where(full, full_soc, guess)
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
-def noise_V(record: ObservedRecord, ohm: float) -> float:
-    """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
-
-    It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
-    and noise of one sensor alone is left, which the model cannot follow.
-    """
-    spacing_s = float(np.median(np.diff(record.time_s)))
-    if spacing_s > FAST_ROW_S:
-        return 0.0
-    bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    bent_by_one = 6.0  # 1² + 2² + 1²: the variance of a second difference over that of one row
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(bent_by_one * observed.BIN_S / spacing_s))
-
-
 def _voltage_whitener(
-    stack: Stack, j: int, start_soc: float, spread: Wander, noise_sd_V: float, steep_V: tuple[Array, Array]
+    stack: Stack,
+    j: int,
+    start_soc: float,
+    spread: Wander,
+    noise_sd_V: tuple[float, float],
+    steep_V: tuple[Array, Array],
 ) -> Whitener:
+    """Return the whitening of a record's voltages; noise_sd_V : noise [V] of all rows, and of those at rest."""
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
@@ -245,7 +242,8 @@ def _voltage_whitener(
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, decay, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    return _whitener(rows, ~loaded, kernel, max(spread.voltage_noise_V, noise_sd_V))
+    noise_V = np.where(loaded, 0.0, noise_sd_V[1])
+    return _whitener(rows, ~loaded, kernel, np.maximum(noise_V, max(spread.voltage_noise_V, noise_sd_V[0])))
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
@@ -276,7 +274,7 @@ def _temperature_whitener(stack: Stack, j: int, spread: Wander) -> Whitener | No
     return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, spread.temperature_noise_K)
 
 
-def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
+def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: Array | float) -> Whitener:
     factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
     sd = np.sqrt(np.sum(factor**2, axis=1))
     return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)
