@@ -40,9 +40,7 @@ def flight(seed: int = 1) -> Flight:
 
 @cache
 def learned() -> VehicleFile:
-    return fit_vehicle(
-        "quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read_battery("lipo-generic"), OPTIONS
-    )
+    return fit_vehicle("quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read_battery("lipo-generic"), OPTIONS)
 
 
 # --- what is learned ---------------------------------------------------------------------------------------------
