@@ -249,7 +249,7 @@ def test_every_output_names_the_status() -> None:
     assert "the certificate is for a 3S pack" in warnings("lpab-3s", PackOptions(cells=4, capacity_Ah=5.0))
 
 
-def test_other_warnings() -> None:
+def test_a_missing_or_unusual_temperature_gives_a_warning() -> None:
     options = PackOptions(cells=3, capacity_Ah=5.0)
     assert "no usable pack temperature" in warnings("lpab-3s", options, temp_C=NAN)
     assert "no usable pack temperature" in warnings("lpab-3s", options, temp_C=250.0)

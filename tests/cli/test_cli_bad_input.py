@@ -1,6 +1,7 @@
 """Bad input through the real command: one line on stderr, the right exit code, nothing left behind.
 
-The many slips are made within this process; `test_as_a_process` shows for some that a process says the same.
+The many slips are made within this process; `test_bad_input_is_refused_by_the_process_as_well` shows for some that a
+process says the same.
 """
 
 from __future__ import annotations
@@ -126,12 +127,12 @@ def test_bad_input_is_named_in_one_line(case: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["png", "nan", "--load nonsense", "simulate -o out/f.txt", "validate out"])
-def test_as_a_process(case: str, folder: Path) -> None:
+def test_bad_input_is_refused_by_the_process_as_well(case: str, folder: Path) -> None:
     assert_refused(folder, *made(case, folder), ask=run)
 
 
 @pytest.mark.parametrize("command", ["replay", "info"])
-def test_missing_and_directory(command: str, folder: Path) -> None:
+def test_a_missing_log_and_a_directory_are_refused(command: str, folder: Path) -> None:
     call = replay if command == "replay" else lambda log: ("info", log)
     assert_refused(folder, call(Path("nowhere.tlog")), 1, ("nowhere.tlog", "expected", "no such file"))
     assert_refused(folder, call(Path("out")), 1, ("out", "expected", "a directory"))

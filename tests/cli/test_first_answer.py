@@ -20,7 +20,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.records import Flight
-from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.flight_answer import first_answer, rounded
 from uavbatt.report.flight_limits import limits_of
 from uavbatt.telemetry import read_log
 
@@ -110,8 +110,23 @@ def test_a_current_that_is_lost_on_the_ground_changes_no_answer(armed: bool | No
         (None, math.nan, "No flight in this log"),
     ],
 )
-def test_the_words(landing: Landing | None, end_s: float, words: str) -> None:
+def test_the_first_answer_says_what_the_landing_was(landing: Landing | None, end_s: float, words: str) -> None:
     assert words in first_answer(landing, end_s, 13.2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (119.4, "119 s"),
+        (121.0, "2 min"),
+        (394.0, "6 min 30 s"),
+        (596.0, "10 min"),
+        (629.0, "10 min"),
+        (960.0, "16 min"),
+    ],
+)
+def test_the_longer_the_time_the_coarser_the_words(seconds: float, words: str) -> None:
+    assert rounded(seconds) == words
 
 
 def test_the_same_numbers_stand_in_the_summary_first_line_and_lines(tmp_path: Path) -> None:

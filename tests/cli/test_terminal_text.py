@@ -23,14 +23,14 @@ def assert_clean(done: Done) -> None:
         assert not [c for c in text if c != "\n" and terminal_line(c) != c], text
 
 
-def test_of_a_cell(tmp_path: Path) -> None:
+def test_control_characters_of_a_cell_do_not_reach_the_terminal(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text(HEAD + ROWS + "300,15.7,\x1b[31mmany\x07\n")
     done = called("info", "f.csv", folder=tmp_path)
     assert done.returncode == 1 and "found `" in done.stderr
     assert_clean(done)
 
 
-def test_of_a_column(tmp_path: Path) -> None:
+def test_control_characters_of_a_column_do_not_reach_the_terminal(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text(HEAD.strip() + ",\x1b[31mred\x1b[0m\n" + ROWS.replace(",12\n", ",12,1\n"))
     for command in ("info", "replay"):
         done = called(command, "f.csv", *(["--capacity-ah", "5"] if command == "replay" else []), folder=tmp_path)
@@ -70,7 +70,7 @@ def test_of_a_battery_file(tmp_path: Path) -> None:
     assert_clean(done)
 
 
-def test_of_a_fleet(tmp_path: Path) -> None:
+def test_control_characters_of_a_fleet_do_not_reach_the_terminal(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/a.csv").write_text(HEAD + "0,\x1b[31mred,1\n")

@@ -60,6 +60,13 @@ def test_a_growth_that_is_certain_stands_before_a_larger_one_that_may_be_chance(
     assert table.index("heron") < table.index("swift")
 
 
+def test_a_reason_names_its_first_three_logs_and_counts_all() -> None:
+    bad = [FlightRow(file=f"/logs/b{n}.tlog", status="bad", reason="cut short") for n in range(5)]
+    found = gathered([*bad, *rows("heron", 0.0, 4)])
+    assert found.failures == {"cut short": 5} and found.failed == {"cut short": [row.file for row in bad[:3]]}
+    assert "b0.tlog, b1.tlog, b2.tlog, …" in fleet_report(found, "x (fitted)")
+
+
 def test_dates_order_the_flights_and_their_absence_does_not_matter() -> None:
     shuffled = rows("heron", 0.4)
     random.Random(2).shuffle(shuffled)

@@ -127,15 +127,6 @@ def test_a_battery_that_was_silent_for_a_day_costs_no_other_its_state(tmp_path: 
     assert note.startswith("battery 0: resumed from a state ")
 
 
-def test_a_damaged_state_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    for text in ("", "{", "[]", '{"version": 2}', '{"version": 2, "batteries": {"0": {"mean": [1]}}}'):
-        path.write_text(text)
-        bench = Bench(state=StateSection(file=str(path)))
-        bench.fly(3.0)
-        assert bench.daemon.board.reports
-
-
 def test_a_second_vehicle_is_not_ours() -> None:
     bench = Bench()
     bench.fly(2.0)

@@ -68,7 +68,9 @@ def test_damage_that_one_flight_leaves_open_is_named_after_the_second():
     found = ageing.history(flights)
     assert kinds(found[5]) == []
     assert kinds(found[6]) == ["sudden_ohms"]
-    assert "damaged, or ageing fast?" in found[6].findings[0].words
+    (finding,) = found[6].findings
+    assert "damaged, or ageing fast?" in finding.words
+    assert float(finding.words.partition(" % more resistance")[0]) == pytest.approx(15.0, abs=2.0)
     assert ohms(found[6]) == pytest.approx(1.155, abs=0.03)
 
 

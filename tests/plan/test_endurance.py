@@ -138,7 +138,7 @@ def test_json_on_stdout_is_nothing_but_json() -> None:
     assert json.loads(done.stdout)["load"] == "250 W" and "at 20 °C" in done.stderr
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_the_command_prints_and_writes_every_temperature(tmp_path: Path) -> None:
     page, summary = tmp_path / "plan.html", tmp_path / "plan.json"
     code, said = run(*PACK, "--power-w", "250", "--ambient-c", "5", "--report", str(page), "--json", str(summary))
     assert code == 0 and "generic, not certified" in said and "at 5 °C" in said

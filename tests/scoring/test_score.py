@@ -37,6 +37,10 @@ def test_end_is_not_judged_before_a_full_window() -> None:
     assert math.isnan(end_of_flight([0.0, 1.0], [9.0, 9.0], cutoff_V=9.6))
 
 
+def test_three_slow_rows_are_enough_for_one_median() -> None:
+    assert end_of_flight([0.0, 12.0, 24.0], [9.0, 9.0, 9.0], cutoff_V=9.6) == 12.0
+
+
 def test_end_of_slow_rows_by_centred_median_under_load() -> None:
     time = 12.0 * np.arange(10)
     volts = np.array([23.0, 22.0, 22.5, 22.0, 21.5, 21.4, 22.0, 21.3, 21.2, 21.1])
@@ -136,6 +140,27 @@ def test_a_perfect_forecast() -> None:
     assert score.crps_s == pytest.approx(20 / Z90 * (math.sqrt(2) - 1) / math.sqrt(math.pi))
     # alpha-lambda at half way: mass of N(300, 20/z) within 30 s
     assert score.alpha_lambda[0.1] == pytest.approx(2 * stats.norm.cdf(30 / (20 / Z90)) - 1)
+
+
+def test_alpha_lambda_is_judged_half_way_to_the_end() -> None:
+    half_way = TIME_S == 300.0
+    assert score_flight("f", TIME_S, np.where(half_way, TRUE_S, 0.0), end_s=END_S).alpha_lambda[0.1] == 1.0
+    assert score_flight("f", TIME_S, np.where(half_way, 0.0, TRUE_S), end_s=END_S).alpha_lambda[0.1] == 0.0
+
+
+@pytest.mark.parametrize(("half_s", "horizon_s"), [(117.0, END_S), (188.5, 0.0)])  # 60 % and 40 % within 60 s
+def test_the_horizon_needs_half_of_the_mass_within_its_band(half_s: float, horizon_s: float) -> None:
+    assert scored(half_s=half_s).horizon_s == horizon_s
+
+
+def test_an_instant_before_the_first_line_has_no_score() -> None:
+    score = score_flight("f", TIME_S[36:], TRUE_S[36:], end_s=END_S)  # the first line comes 240 s before the end
+    assert list(score.at) == ["240 s", "120 s", "60 s", "25%", "50%", "75%"]
+
+
+def test_one_point_of_an_interval_is_no_interval() -> None:
+    score = score_flight("f", TIME_S, TRUE_S, TRUE_S - 20.0, end_s=END_S)
+    assert score.at["120 s"].inside is None and math.isnan(score.coverage)
 
 
 def test_a_constant_error() -> None:

@@ -71,7 +71,7 @@ def test_cold_and_power_shorten() -> None:
         ("harness_resistance", 0.03),
     ],
 )
-def test_effects_that_shorten(effect: str, value: float) -> None:
+def test_a_planted_effect_shortens_the_flight(effect: str, value: float) -> None:
     struck = simulate_flight(with_effects(pack(), {effect: value}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1))
     assert struck[-1].time_s < 0.97 * flown()[-1].time_s
 

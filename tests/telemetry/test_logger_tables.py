@@ -49,7 +49,7 @@ def record_row(k: int, *, motors: str = "True", amps: float = 4.0, full: str = "
     return f"5/1/2026,0m {k / 10}s,{k / 10},{motors},92,1762,{full},8.083,4.036,4.029,{amps},29.2,\n"
 
 
-def test_airdata(tmp_path: Path) -> None:
+def test_an_airdata_table_gives_each_row_once_with_its_cells(tmp_path: Path) -> None:
     flight = read(tmp_path, AIRDATA + airdata_rows(4))
     assert (flight.kind, flight.notes) == ("airdata", ("1 rows without a possible voltage dropped",))
     assert [s.time_s for s in flight.samples] == [1.0, 2.0, 3.0]  # not the repetitions

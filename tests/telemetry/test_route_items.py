@@ -59,7 +59,7 @@ def test_a_speed_of_minus_two_is_the_vehicles_own_again() -> None:
     ("frame", "known"),
     [(0, Frame.SEA), (5, Frame.SEA), (3, Frame.HOME), (6, Frame.HOME), (10, Frame.TERRAIN), (11, Frame.TERRAIN)],
 )
-def test_altitude_frames(frame: int, known: Frame) -> None:
+def test_each_altitude_frame_is_known(frame: int, known: Frame) -> None:
     assert item(16, frame=frame).frame is known
 
 
@@ -138,7 +138,7 @@ def test_navigation_commands_are_flown_and_others_are_not() -> None:
         (21, Mode.RETURN_BY_TRACK), (27, Mode.MISSION), (99, Mode.UNKNOWN),
     ],
 )  # fmt: skip
-def test_modes_of_arducopter(number: int, mode: Mode) -> None:
+def test_each_mode_of_arducopter_is_known_by_number_and_name(number: int, mode: Mode) -> None:
     assert copter_mode(number) is mode
     assert copter_mode_named(str(number)) is mode
 
@@ -157,7 +157,7 @@ def test_modes_of_old_text_logs_have_names() -> None:
         (10, 0, Mode.UNKNOWN),
     ],
 )  # fmt: skip
-def test_modes_of_px4(main: int, of_auto: int, mode: Mode) -> None:
+def test_each_mode_of_px4_is_known_by_number(main: int, of_auto: int, mode: Mode) -> None:
     assert px4_mode(main << 16 | of_auto << 24) is mode
 
 
@@ -195,7 +195,7 @@ def test_a_return_speed_of_zero_is_that_of_the_mission() -> None:
     assert return_settings({"RTL_LOIT_TIME": 5000.0}).return_hold_s == 5.0
 
 
-def test_settings_of_px4() -> None:
+def test_parameters_of_px4_become_speeds_and_heights() -> None:
     found = return_settings(
         {"MPC_XY_CRUISE": 5.0, "MPC_Z_V_AUTO_UP": 3.0, "MPC_Z_V_AUTO_DN": 1.5, "RTL_RETURN_ALT": 60.0,
          "RTL_LAND_DELAY": -1.0, "RTL_DESCEND_ALT": 30.0, "MPC_LAND_SPEED": 0.7, "RTL_CONE_ANG": 45.0}

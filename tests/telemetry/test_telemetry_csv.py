@@ -20,7 +20,7 @@ def read(tmp_path: Path, text: str, name: str = "flight.csv") -> Flight:
     return read_log(path)
 
 
-def test_all_columns(tmp_path: Path) -> None:
+def test_every_column_is_read_and_an_empty_cell_is_unknown(tmp_path: Path) -> None:
     flight = read(tmp_path, HEAD + "5,16.4,12.5,25,0.7,0.8,1\n6.5,16.3,,nan,,,\n")
     first, second = flight.samples
     assert flight.kind == "csv"
@@ -77,7 +77,7 @@ def test_what_px4_writes_for_unknown_is_unknown_in_a_table_of_ulog2csv(tmp_path:
         ("time_s,voltage_V\n", "expected battery messages with a voltage"),
     ],
 )
-def test_slips_are_named(tmp_path: Path, text: str, message: str) -> None:
+def test_a_slip_is_named_in_one_line_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(BadInput, match=message) as caught:
         read(tmp_path, text)
     assert str(tmp_path / "flight.csv") in str(caught.value)
@@ -133,7 +133,7 @@ def test_a_cut_last_row_is_left_out(tmp_path: Path) -> None:
     assert flight.skipped_bytes == 3
 
 
-def test_real_tables(shared_data: Path) -> None:
+def test_a_measured_table_is_read_as_it_is(shared_data: Path) -> None:
     flight = read_log(shared_data / "flights/m100/m100_001_752.csv")
     assert len(flight.samples) == 61
     assert (flight.samples[1].time_s, flight.samples[1].current_A) == (11.002, 17.325)

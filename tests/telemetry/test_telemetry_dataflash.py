@@ -50,7 +50,7 @@ def bat(variant: str, time_us: int, volt: float, curr: float, temp_c: int = 2500
 
 
 @pytest.mark.parametrize("variant", BAT_VARIANTS)
-def test_bat_variants(tmp_path: Path, variant: str) -> None:
+def test_every_variant_of_bat_gives_the_same_row(tmp_path: Path, variant: str) -> None:
     chars, labels = BAT_VARIANTS[variant]
     data = fmt(10, "BAT", chars, labels)
     data += bat(variant, 5_000_000, 16.5, 12.5) + bat(variant, 5_500_000, 16.25, 13.5, temp_c=0)
@@ -75,7 +75,9 @@ def test_bat_variants(tmp_path: Path, variant: str) -> None:
         ("Qfff", "TimeUS,Volt,Curr,CurrTot", (7_000_000, 10.93, 25.32, 700.0)),
     ],
 )
-def test_curr_variants(tmp_path: Path, chars: str, labels: str, values: tuple[float, ...]) -> None:
+def test_every_variant_of_curr_gives_the_same_row(
+    tmp_path: Path, chars: str, labels: str, values: tuple[float, ...]
+) -> None:
     data = fmt(9, "CURR", chars, labels) + rec(9, chars, *values) * 3
     flight = read(tmp_path, data)
     sample = flight.samples[0]
@@ -97,7 +99,7 @@ def test_time_counts_from_the_first_timed_record_of_any_kind(tmp_path: Path) -> 
     assert flight.duration_s == 8.0
 
 
-def test_instances_and_default(tmp_path: Path) -> None:
+def test_the_battery_with_a_current_is_the_default_one(tmp_path: Path) -> None:
     chars, labels = BAT_VARIANTS["4.1"]
     data = fmt(10, "BAT", chars, labels)
     for n in range(3):
@@ -130,7 +132,7 @@ def test_cells_join_the_row_of_their_instant(tmp_path: Path) -> None:
     assert second.cell_voltages_V == ()
 
 
-def test_arming(tmp_path: Path) -> None:
+def test_the_armed_flag_follows_the_events(tmp_path: Path) -> None:
     chars, labels = BAT_VARIANTS["4.1"]
     data = fmt(10, "BAT", chars, labels) + fmt(15, "EV", "QB", "TimeUS,Id") + fmt(16, "ARM", "QB", "TimeUS,ArmState")
     steps = [rec(15, "QB", 1, 10), rec(15, "QB", 2, 15), rec(15, "QB", 3, 11), rec(16, "QB", 4, 1)]
@@ -173,7 +175,7 @@ def test_old_parameters_without_time(tmp_path: Path) -> None:
     assert math.isnan(flight.samples[0].current_A)  # a voltage-only monitor logs 0 A
 
 
-def test_impossible_values(tmp_path: Path) -> None:
+def test_impossible_values_are_dropped_or_unknown(tmp_path: Path) -> None:
     chars, labels = BAT_VARIANTS["4.1"]
     data = fmt(10, "BAT", chars, labels)
     for n, (volt, curr) in enumerate([(0.0, 1.0), (math.nan, 1.0), (250.0, 1.0), (12.0, 5000.0), (12.0, math.inf)]):
@@ -249,7 +251,7 @@ CURR, 0, 1811, 1210, 0, 5028, 1.030283
 """
 
 
-def test_text(tmp_path: Path) -> None:
+def test_a_text_log_gives_rows_facts_and_the_bytes_of_damaged_lines(tmp_path: Path) -> None:
     flight = read(tmp_path, TEXT.encode(), name="anything.txt")
     assert flight.kind == "dataflash-text"
     first, second = flight.samples
@@ -270,7 +272,7 @@ def test_text_with_time_and_a_cut_last_number(tmp_path: Path) -> None:
     assert math.isnan(flight.samples[1].consumed_Ah)
 
 
-def test_no_battery_messages(tmp_path: Path) -> None:
+def test_a_log_without_battery_messages_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="expected battery messages"):
         read(tmp_path, fmt(11, "IMU", "Qf", "TimeUS,X") + rec(11, "Qf", 5, 1.0))
 

@@ -40,7 +40,9 @@ from uavbatt.telemetry.quality.info import describe, lines
     ],
     ids=["empty", "blank", "png", "pdf", "noise", "text", "zeros", "ulog head", "ulog noise", "dataflash noise"],
 )
-def test_no_flight_log(tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_flight_log_is_named_in_one_line(
+    tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / name
     path.write_bytes(data)
     with pytest.raises(BadInput) as caught:
@@ -49,7 +51,7 @@ def test_no_flight_log(tmp_path: Path, name: str, data: bytes, capsys: pytest.Ca
     assert capsys.readouterr().out == ""
 
 
-def test_missing_and_directory(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_directory_are_named(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="found no such file"):
         read_log(tmp_path / "nowhere.tlog")
     with pytest.raises(BadInput, match="found a directory"):
@@ -70,7 +72,7 @@ def test_ulog_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         read_log(path)
 
 
-def test_real_ulog(shared_data: Path) -> None:
+def test_a_flown_ulog_is_read_with_the_cells_it_flew(shared_data: Path) -> None:
     pytest.importorskip("pyulog")
     one = read_log(shared_data / "flights/px4/hexa_6s_33s.ulg")
     assert (one.kind, len(one.samples), one.instances) == ("ulog", 166, (0,))
@@ -93,7 +95,7 @@ def test_a_cut_ulog_is_a_prefix(shared_data: Path, tmp_path: Path) -> None:
     assert 0 < len(cut.samples) < len(whole.samples)
 
 
-def test_plausible_temperature() -> None:
+def test_an_impossible_temperature_or_jump_is_unknown() -> None:
     assert plausible_temperature_C(25.0) == 25.0
     for impossible in (math.nan, math.inf, 0.0, 2510.0, -60.0):
         assert math.isnan(plausible_temperature_C(impossible))

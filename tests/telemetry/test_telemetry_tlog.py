@@ -59,7 +59,7 @@ def read(tmp_path: Path, *packed: bytes, instance: int | None = None) -> Flight:
 
 
 @pytest.mark.parametrize(("v1", "sign"), [(False, False), (True, False), (False, True)])
-def test_a_row(tmp_path: Path, v1: bool, sign: bool) -> None:
+def test_a_battery_message_becomes_a_row_with_the_armed_flag(tmp_path: Path, v1: bool, sign: bool) -> None:
     flight = read(
         tmp_path, pack(heartbeat(), 0.0, v1=v1, sign=sign), pack(battery(), 1.5, v1=v1, sign=sign),
         pack(heartbeat(armed=False), 1.9), pack(heartbeat(armed=False), 2.0), pack(battery(), 3.0),
@@ -79,7 +79,7 @@ def test_a_clean_log_needs_no_dialect(tmp_path: Path, monkeypatch: pytest.Monkey
     assert ([s.time_s for s in flight.samples], flight.skipped_bytes) == ([1.5], 0)
 
 
-def test_battery_status_sentinels() -> None:
+def test_the_unknown_of_battery_status_becomes_nan() -> None:
     row = fields.battery_status(battery(cA=-1, mAh=-1, cdeg=32767, percent=-1))
     assert all(math.isnan(v) for v in (row.current_A, row.consumed_Ah, row.temp_C, row.reported_soc))
     assert fields.battery_status(battery(cdeg=0)).temp_C == 0.0  # a real 0 °C on this wire
@@ -138,7 +138,7 @@ def test_only_the_autopilot_speaks(tmp_path: Path) -> None:
     assert sum("ignored" in note for note in flight.notes) == 2
 
 
-def test_parameters_of_ardupilot(tmp_path: Path) -> None:
+def test_parameters_of_ardupilot_hold_from_when_they_are_heard(tmp_path: Path) -> None:
     flight = read(
         tmp_path, pack(heartbeat(), 0), pack(param("BATT_CAPACITY", 5000), 1), pack(battery(), 2),
         pack(param("BATT_OPTIONS", 64), 3), pack(param("BATT_LOW_VOLT", 14.0), 3), pack(battery(), 4),
@@ -164,7 +164,7 @@ def test_parameters_of_px4_are_bit_patterns(tmp_path: Path) -> None:
     assert math.isnan(facts.capacity_Ah)
 
 
-def test_who_flew(tmp_path: Path) -> None:
+def test_the_log_tells_who_flew(tmp_path: Path) -> None:
     said = dialect.MAVLink_autopilot_version_message(0, 0x04050100, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0xABC)
     flight = read(
         tmp_path, pack(heartbeat(), 0, 7), pack(said, 1, 7), pack(param("BATT_SERIAL_NUM", 77), 1, 7),

@@ -62,7 +62,7 @@ def test_F_emp_cannot_be_reproduced(replay):
     assert claim.critical == pytest.approx(claim.critical_printed, abs=5e-3)
 
 
-def test_drift_verdicts(replay):
+def test_the_drift_ratios_are_those_of_table_2(replay):
     assert not any(c.drifts for c in replay.columns if c.quantity == "voltage_V")
     ratios = [c.drift_ratio for c in replay.columns if c.quantity == "surface_C"]
     assert [i for i, r in enumerate(ratios) if r >= 0.2] == [2, 7]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
-from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change, verdict
+from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_FILES, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
     DASH,
     Html,
@@ -196,7 +196,7 @@ def _failed(overview: Overview) -> Html:
         (
             str(count),
             reason,
-            ", ".join(PurePath(f).name for f in overview.failed[reason]) + (", …" if count > 3 else ""),
+            ", ".join(PurePath(f).name for f in overview.failed[reason]) + (", …" if count > MOST_FILES else ""),
         )
         for reason, count in by_count[:MOST_LISTED]
     ]

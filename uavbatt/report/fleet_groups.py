@@ -26,6 +26,7 @@ LEAST_CHANGE = 0.05  # of a scale: packs of one make differ by that much when ne
 LEAST_SCALE, LEAST_SD = 1e-3, 1e-3  # no division by less
 STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
 LISTED_SHARE = 0.2  # largest share of flights on the list of those to look at
+MOST_FILES = 3  # named for each reason; the table of flights holds all
 MOST_LISTED = 100  # rows of a list that a person may read; the table of flights holds all
 _FIGURE = re.compile(r"\d+(\.\d+)?")
 
@@ -171,7 +172,7 @@ def gathered(rows: Iterable[FlightRow]) -> Overview:
         if row.status != "ok":
             overview.failures[row.reason] = overview.failures.get(row.reason, 0) + 1
             files = overview.failed.setdefault(row.reason, [])
-            files += [row.file] if len(files) < 3 else []
+            files += [row.file] if len(files) < MOST_FILES else []
             continue
         name, is_identified = _whose(row)
         overview.groups.setdefault(name, Group(name, is_identified)).add(row)
