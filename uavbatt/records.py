@@ -238,8 +238,7 @@ class Route:
         soc_lo: 5 % point.
         soc_hi: 95 % point.
         risk: probability that the end of flight comes before that touchdown.
-        home_soc: charge at touchdown if the aircraft turned back now, median.
-        home_soc_lo: 5 % point.
+        home_soc, home_soc_lo: charge at touchdown if the aircraft turned back now, median and 5 % point.
         turn_back_s: until the latest instant to turn back, median; 0 is now.
         turn_back_lo_s: 5 % point.
         turn_back_hi_s: 95 % point.

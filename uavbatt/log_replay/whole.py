@@ -143,7 +143,7 @@ def replay(
         capacity_Ah: capacity of the pack [Ah].
         cutoff_V: voltage of the pack that ends the flight [V].
         reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
-        instance: battery of the log; by default the first that reports a current.
+        instance: battery of the log, from 0; by default the one that carries the flight.
         vehicle: vehicle file by path, or its content: how this aircraft flew before.
         load: `learned`, `recent`, `log`, or the power to come [W].
         mission: the planned mission, a `.waypoints` or `.plan` file; it replaces the one in the log.
