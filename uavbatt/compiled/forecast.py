@@ -19,8 +19,8 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
-from uavbatt.prediction.batch import Question
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes, counted
+from uavbatt.prediction.batch import Question, least_soc
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -37,7 +37,7 @@ def compiled_end_times(q: Question) -> EndTimes:
         np.ascontiguousarray(q.power_W),
         float(q.ambient_C),
         np.ascontiguousarray(q.dt_s),
-        float(q.reserve_soc),
+        least_soc(q),
         drawn.bias,
         drawn.row,
         q.by_rows,
@@ -52,7 +52,7 @@ def time_to_end(
     power_W: Array,
     ambient_C: float,
     dt_s: Array,
-    reserve_soc: float,
+    least: Array,
     bias: Array,
     row: Array,
     by_rows: bool,
@@ -62,7 +62,7 @@ def time_to_end(
     end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(pack, dt_s)
     for j in range(batch):
         end_s[j], low_s[j] = time_to_end_one(
-            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, gained_V2, bias[:, j], row[:, j], by_rows
+            pack, x[:, j], power_W[:, j], ambient_C, dt_s, least[j], gained_V2, bias[:, j], row[:, j], by_rows
         )
     return end_s, low_s
 
@@ -74,7 +74,7 @@ def time_to_end_one(
     power_W: Array,
     ambient_C: float,
     dt_s: Array,
-    reserve_soc: float,
+    least_soc: float,
     gained_V2: Array,
     bias: Array,
     row: Array,
@@ -97,9 +97,8 @@ def time_to_end_one(
         if by_rows and k > 0:
             volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * row[k]
         before = rate
-        margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
-        if reserve_soc > 0.0:
-            margin = min(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
+        margin = min(volts - pack.cutoff_V, (state.soc - least_soc) * SOC_IN_CELL_V * cells)
+        above_low = volts - pack.low_V
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
         end_s, below_end = fallen(by_rows, k, end_s, below_end, last_end, margin, earlier_s, at_s)
         low_s, below_low = fallen(by_rows, k, low_s, below_low, last_low, above_low, earlier_s, at_s)

@@ -46,17 +46,28 @@ class Question(NamedTuple):
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
+def least_soc(q: Question) -> Array:
+    """Return the charge [draws] below which each sample ends: the reserve, else none that the pack may give.
+
+    A curve goes on below its charge of 0, so that a cut-off far below it would be met long after a pack is empty. For a
+    make that nobody tested it is not known how much charge lies below that point of the curve.
+    """
+    if q.reserve_soc > 0.0:
+        return np.full(sampling.DRAWS, q.reserve_soc)
+    return -q.pack.empty_soc_sd * sampling.shuffled(sampling.DRAWS)
+
+
 def end_times(q: Question, enough: float = COUNTED) -> EndTimes:
     """Simulate one forecast and return when each sample ends [s]; `enough` is that of `time_to_end.counted`."""
     drawn = sampling.wander(q.dt_s.size, q.by_rows)
-    ends = time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows, enough=enough)
+    ends = time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, least_soc(q), drawn, q.by_rows, enough=enough)
     return counted(ends, enough)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
     """Simulate many forecasts of one pack side by side and return the ends of each, as `end_times` gives them."""
     found: list[EndTimes] = []
-    for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
+    for _, alike in groupby(questions, key=lambda q: q.by_rows):
         queue = list(alike)
         for first in range(0, len(queue), SIDE_BY_SIDE):
             found += _together(queue[first : first + SIDE_BY_SIDE])
@@ -90,7 +101,7 @@ def _together(few: list[Question]) -> list[EndTimes]:
         on(q.power_W for q in few),
         each(q.ambient_C for q in few),
         on(q.dt_s for q in few)[:, :, None],
-        few[0].reserve_soc,
+        np.stack([least_soc(q) for q in few]),
         Normals(drawn.bias[:, None], drawn.row[:, None]),
         few[0].by_rows,
         each(q.dt_s.size for q in few),

@@ -6,7 +6,7 @@ pack sooner than charge counting says. Each step solves V I = P and advances the
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
 half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; if telemetry rows are slower than
 that, the steps are the rows, and the centred median of three of them, with their noise, decides. A charge below the
-reserve ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
+least one ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
 value: nothing shows that a voltage which a pack lacks now will come back before the end.
 
 `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
@@ -33,7 +33,7 @@ JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs litt
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
 # Constants that are combined with arrays at every step: numpy works a third faster with 0-d arrays than with floats.
 MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
-SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
+SOC_IN_CELL_V = 2.5  # 1 % of charge weighs as 25 mV of a cell, so that one crossing rule serves both limits
 # Share of the draws that is simulated to the end; the 95 % point lies among their ends. The last few would cost a fifth
 # of all steps, and count as ending with the last of these.
 COUNTED = 0.96
@@ -59,7 +59,7 @@ def time_to_end(
     power_W: Array,
     ambient_C: Number,
     dt_s: Array,
-    reserve_soc: float = 0.0,
+    least_soc: Number = -np.inf,
     wander: Normals | None = None,
     by_rows: bool = False,
     own_steps: Number = np.inf,
@@ -67,7 +67,7 @@ def time_to_end(
 ) -> EndTimes:
     """Return the ends of belief columns x [9, batch] under true power `power_W` [steps, batch] in steps `dt_s` [steps].
 
-    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
+    The end is the first of: metered voltage below pack.cutoff_V, soc below `least_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
     the discrepancy stays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
     which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon. It is
@@ -79,7 +79,7 @@ def time_to_end(
     harness_ohmAh = series_resistance(installation, 0.0)
     gained_V2 = bias_variance(pack, dt_s)
     fast, slow, core, unread = model.cell_lags(cell, dt_s)
-    limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, float(np.min(own_steps)), by_rows)
+    limits = _Limits(pack, least_soc, _times(dt_s, x.ndim - 1), own_steps, float(np.min(own_steps)), by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
     tables, asked, bias_V, before = curve_tables(pack), power_W / size, x[X.BIAS], None
@@ -135,7 +135,7 @@ class _Limits(NamedTuple):
     """_Limits holds the limits by which steps are judged; `at_s` are the times of all steps."""
 
     pack: Pack
-    reserve_soc: float
+    least_soc: Number
     at_s: Array
     own_steps: Number
     fewest_steps: float
@@ -158,8 +158,7 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
     if limits.by_rows:
         volts += recent.noise_V[part]
     margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
-    if limits.reserve_soc > 0.0:
-        margin_V = np.minimum(margin_V, (recent.soc[part] - limits.reserve_soc) * SOC_IN_VOLTS)
+    margin_V = np.minimum(margin_V, (recent.soc[part] - limits.least_soc) * SOC_IN_CELL_V * installation.cells)
     if k >= limits.fewest_steps:
         within = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < limits.own_steps
         margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)
