@@ -79,7 +79,10 @@ def test_what_is_high_or_fast_flies_and_a_glide_of_minutes_is_no_landing() -> No
     aloft = after(FlightSoFar(), 30, 12.0, armed=True, is_aloft=True)
     assert is_flying(aloft)
     assert is_flying(after(aloft, 300, 0.0, armed=True, is_aloft=True))
-    assert not is_flying(after(aloft, 300, 0.0, armed=True))
+    assert is_flying(after(aloft, 300, 0.0, armed=True))  # without a position an armed aircraft may glide
+    assert not is_flying(after(aloft, 1000, 0.0, armed=True))
+    assert not is_flying(after(aloft, 300, 0.0, armed=True, is_aloft=False))
+    assert not is_flying(after(aloft, 300, 0.0, armed=None, is_aloft=False))
     assert not is_flying(after(aloft, 10, 0.0, armed=False))
 
 

@@ -201,6 +201,16 @@ def test_a_reserve_ends_it_sooner() -> None:
     assert forecast(pack(), belief(0.4), reserve_soc=0.5).median_s < 5.0
 
 
+def test_a_pack_without_charge_is_empty_however_low_its_cutoff_is() -> None:
+    """The curve goes on below a charge of 0: a pack with a cut-off of 2.8 V a cell flew on it for minutes."""
+    low = pack()._replace(cutoff_V=11.2, empty_soc_sd=0.0)
+    left_s = 0.05 * 5.0 * 4 * 3.5 * 3600.0 / 100.0  # of the last twentieth of the charge
+    assert forecast(low, belief(0.05, exact=True), 100.0).hi_s < 1.2 * left_s
+    untested = low._replace(empty_soc_sd=0.05)  # it is not known what the make holds below
+    lo_s, hi_s = (getattr(forecast(untested, belief(0.05, exact=True), 100.0), point) for point in ("lo_s", "hi_s"))
+    assert 0.8 * left_s < lo_s < 1.2 * left_s and hi_s > 1.6 * left_s
+
+
 def test_a_higher_cutoff_ends_it_sooner() -> None:
     early = pack()._replace(cutoff_V=14.4)
     assert forecast(early, belief()).median_s < forecast(pack(), belief()).median_s

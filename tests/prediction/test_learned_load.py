@@ -211,9 +211,9 @@ def test_another_load_in_the_last_minute_is_believed_unless_the_motor_runs_by_tu
 def test_a_motor_that_runs_by_turns_ends_the_flight_while_it_runs() -> None:
     """The same mean power, steady or by turns of four times the mean: the cut-off is met while the motor runs."""
     steady, by_turns = (
-        forecast(UnknownAircraft(), recent(*watts)) for watts in ([280.0] * 96, [1120.0, *[0.0] * 3] * 24)
+        forecast(UnknownAircraft(), recent(*watts)) for watts in ([280.0] * 96, ([1120.0] * 2 + [0.0] * 6) * 12)
     )
-    assert by_turns.lo_s < 0.75 * steady.lo_s
+    assert by_turns.lo_s < 0.4 * steady.lo_s
     scattered = forecast(UnknownAircraft(), recent(*([210.0] * 4 + [350.0] * 4) * 12))
     assert scattered.lo_s < steady.lo_s
 

@@ -18,8 +18,8 @@ from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
-from uavbatt.prediction.batch import Question
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes, Flying, Normals, counted
+from uavbatt.prediction.batch import Question, least_soc
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, Flying, Normals, counted
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -30,27 +30,27 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 def compiled_end_times(flying: Flying) -> EndTimes:
     """Simulate one forecast; returns the end of each of its draws."""
     drawn = sampling.wander(flying.dt_s.size, flying.by_rows)
-    return counted(EndTimes(*time_to_end(as_numbers(flying), drawn)))
+    return counted(EndTimes(*time_to_end(as_numbers(flying), drawn, least_soc(flying))))
 
 
 @compiled
-def time_to_end(flying: Flying, wander: Normals) -> tuple[Array, Array]:
+def time_to_end(flying: Flying, wander: Normals, least_soc: Array) -> tuple[Array, Array]:
     """Return the end of flight and the low-voltage warning [s] of each draw; inf beyond the horizon."""
     batch = flying.x.shape[1]
     end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(flying.pack, flying.dt_s)
     for j in range(batch):
-        end_s[j], low_s[j] = time_to_end_one(flying, wander, gained_V2, j)
+        end_s[j], low_s[j] = time_to_end_one(flying, wander, least_soc[j], gained_V2, j)
     return end_s, low_s
 
 
 @compiled
-def time_to_end_one(flying: Flying, wander: Normals, gained_V2: Array, j: int) -> tuple[float, float]:
+def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2: Array, j: int) -> tuple[float, float]:
     """Return the end of flight and the low-voltage warning [s] of draw `j`; inf beyond the horizon.
 
-    gained_V2 : the variance [V²] that the discrepancy gains in each step.
+    least_soc : the charge below which it ends; gained_V2 : the variance [V²] that the discrepancy gains in each step.
     """
     pack, x, power_W, dt_s = flying.pack, flying.x[:, j], flying.power_W[:, j], flying.dt_s
-    reserve_soc, by_rows = flying.reserve_soc, flying.by_rows
+    by_rows = flying.by_rows
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
@@ -67,9 +67,8 @@ def time_to_end_one(flying: Flying, wander: Normals, gained_V2: Array, j: int) -
         if by_rows and k > 0:
             volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
         before = rate
-        margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
-        if reserve_soc > 0.0:
-            margin = min(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
+        margin = min(volts - pack.cutoff_V, (state.soc - least_soc) * SOC_IN_CELL_V * cells)
+        above_low = volts - pack.low_V
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
         end_s, below_end = fallen(by_rows, k, end_s, below_end, last_end, margin, earlier_s, at_s)
         low_s, below_low = fallen(by_rows, k, low_s, below_low, last_low, above_low, earlier_s, at_s)

@@ -14,6 +14,7 @@ ALOFT_C = 0.05  # if its position shows it in the air
 GROUNDED_C = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag ends the flight at once
+GLIDED_S = 900.0  # longest glide of an armed aircraft without a position: an autopilot disarms soon after a landing
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 CARRIED_S = 60.0  # so long under a load that no payload draws: this was a flight, not spool-up
@@ -103,6 +104,10 @@ class FlightSoFar(NamedTuple):
         is_long = sample.armed is True and sample.time_s - self.armed_since_s >= ARMED_LONG_S
         return CRUISING_C if is_long else FLYING_C
 
+    def _landed_after_s(self, is_aloft: bool | None) -> float:
+        """Return how long no load may carry the aircraft before it has landed [s], if it is not seen in the air."""
+        return GLIDED_S if self.armed is True and is_aloft is None else LANDED_AFTER_S
+
     def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool | None) -> FlightSoFar:
         """Return the past with the row's time and C-rate, and with the aircraft in flight or on the ground by them."""
         row_s, time_s = self.row_s, sample.time_s
@@ -112,7 +117,7 @@ class FlightSoFar(NamedTuple):
         since_s, loaded_s = self.flying_since_s, self.loaded_s
         if rate_c >= self._least_c(sample, is_aloft):
             since_s, loaded_s = since_s if math.isfinite(since_s) else time_s, time_s
-        elif sample.armed is False or not (is_aloft is True or time_s - loaded_s < LANDED_AFTER_S):
+        elif sample.armed is False or not (is_aloft is True or time_s - loaded_s < self._landed_after_s(is_aloft)):
             since_s = NAN
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 

@@ -14,6 +14,7 @@ from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Status
 # the last minute the lag of a 20 s average was a large part of the error.
 STEADY_TAU_S, STEADY_SHARE = 20.0, 0.1
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
+LARGEST_FALL_S, LARGEST_FALL = 10.0, 0.5  # of the early ends: a motor that starts may end the flight within seconds
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 
 
@@ -51,11 +52,15 @@ class Forecast(NamedTuple):
     def steadied(self, fresh_s: Array, time_s: float) -> Array:
         """Return fresh ends [s, sorted] blended, rank by rank, with these less their age, so that it is readable.
 
-        A large change is a change of load, and is shown at once.
+        A large change of the median, or a large fall of an early end, is a change of load, and is shown at once.
         """
         age_s = time_s - self.time_s
         aged_s = np.maximum(self.ends_s - age_s, 0.0)
         aged_median_s = quantile(aged_s, 0.5)
+        for level in LEVELS[:2]:
+            early_s = quantile(aged_s, level)
+            if early_s - quantile(fresh_s, level) > max(LARGEST_FALL_S, LARGEST_FALL * early_s):
+                return fresh_s
         if abs(quantile(fresh_s, 0.5) - aged_median_s) > max(LARGEST_JITTER_S, LARGEST_JITTER * aged_median_s):
             return fresh_s
         tau_s = min(STEADY_TAU_S, STEADY_SHARE * aged_median_s)

@@ -130,8 +130,10 @@ class Forecaster:
         """
         self._remember(sample, navigation)
         flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
+        if math.isnan(self._flight.took_off_s):
+            self._at_take_off = None
         if math.isnan(flying_s):
-            self._rested, self._at_take_off = belief, None
+            self._rested = belief
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
             self._at_take_off = self._expected(self._rested or belief, self._flight.flying_since_s)
         refusal, question = self._refusal(estimate, flying_s), None

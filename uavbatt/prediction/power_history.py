@@ -2,7 +2,9 @@
 
 A motor that runs at intervals (glider, racer, lift of a VTOL, hops from field to field) draws several times its mean
 power for some seconds, and the flight ends in such seconds. A normal distribution around the mean does not show this;
-the flight itself does. So the power to come is that of this flight flown again, each scenario from another place in it.
+the flight itself does. So the power to come is that of this flight flown again, each scenario from another place in it,
+rather from one that looks like now: a motor that has just started runs on, and one that has stood still for a minute
+will soon start.
 """
 
 from __future__ import annotations
@@ -16,10 +18,15 @@ import numpy as np
 from uavbatt.battery.model import Array
 
 SHORTEST_PIECE_S = 5.0  # the mean over 5 s that ends a flight
-MOST_PIECES = 256
+MOST_PIECES = 1024
 LONGEST_ROW_S = 30.0  # the power in a longer gap is not known
 # Used before a flight has shown its own: manoeuvres of 15 % move a minute's mean by a tenth. It counts as two minutes.
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
+# A place looks like now if the mean powers before it are like the last ones, over each of these times [s].
+LIKE_S, LIKE_SD = (5.0, 20.0, 60.0), 0.5  # the sd is of ln of the power: the swings of a hover count little
+LIKE_FLOOR = 0.1  # of the mean power, added to all: smaller powers are alike
+LEAST_ALIKE = 1e-9  # below it no place looks like now
+ANY_SHARE = 0.1  # of the scenarios begins anywhere: the flight may change
 
 
 class PowerHistory(NamedTuple):
@@ -72,10 +79,30 @@ class PowerHistory(NamedTuple):
         """
         if not sum(self.pieces_W) > 0.0:
             return np.ones((edges_s.size - 1, count))
-        begins_s = self.length_s * _begins(count)[:, None]
+        begins_s = np.interp(_ranks(count), *self._likely_until())[:, None]
         at_s, drawn_J = self._energy_until(times=2 + int(edges_s[-1] / self.length_s))
         passed_J = np.interp(edges_s + begins_s, at_s, drawn_J)  # by flight: ascending times are looked up fast
         return np.asarray(np.diff(passed_J) / (np.mean(self.pieces_W) * np.diff(edges_s))).T
+
+    def _likely_until(self) -> tuple[Array, Array]:
+        """Return the share 0..1 of the scenarios that begin until the end of each piece [s], by what looks like now.
+
+        What followed on the last minute is not known yet: it counts as the others on average.
+        """
+        at_s, drawn_J = self._energy_until()
+        middles_s, now_s = 0.5 * (at_s[1:] + at_s[:-1]), self.length_s + self.open_s
+        known_s, known_J = np.append(at_s, now_s), np.append(drawn_J, drawn_J[-1] + self.open_J)
+        floor_W, apart = LIKE_FLOOR * drawn_J[-1] / self.length_s, np.zeros(middles_s.size)
+        for window_s in LIKE_S:
+            ends_s = np.append(middles_s, now_s)
+            begins_s = np.maximum(ends_s - window_s, 0.0)
+            drawn = np.interp(ends_s, known_s, known_J) - np.interp(begins_s, known_s, known_J)
+            level = np.log(drawn / (ends_s - begins_s) + floor_W)
+            apart += np.square((level[:-1] - level[-1]) / LIKE_SD)
+        alike, is_known = np.exp(-0.5 * apart), middles_s < self.length_s - max(LIKE_S)
+        alike[~is_known] = np.mean(alike[is_known]) if is_known.any() else 1.0
+        share = (1.0 - ANY_SHARE) * alike / max(alike.sum(), LEAST_ALIKE) + ANY_SHARE / alike.size
+        return np.concatenate([[0.0], np.cumsum(share / share.sum())]), at_s
 
     def _energy_until(self, times: int = 1) -> tuple[Array, Array]:
         """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each, of so many flights."""
@@ -96,6 +123,6 @@ class PowerHistory(NamedTuple):
 
 
 @cache
-def _begins(count: int) -> Array:
-    """Return places 0..1 [count] in the flight from which it is flown again, in random order."""
+def _ranks(count: int) -> Array:
+    """Return ranks 0..1 [count] of the places from which the flight is flown again, in random order."""
     return np.random.default_rng(count).permutation((np.arange(count) + 0.5) / count)

@@ -6,7 +6,7 @@ pack sooner than charge counting says. Each step solves V I = P and advances the
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
 half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; if telemetry rows are slower than
 that, the steps are the rows, and the centred median of three of them, with their noise, decides. A charge below the
-reserve ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
+least one ends a flight as well. The discrepancy does not decay to zero as in the filter, but walks on from its present
 value: nothing shows that a voltage which a pack lacks now will come back before the end.
 
 `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
@@ -33,7 +33,7 @@ JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs litt
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
 # Constants that are combined with arrays at every step: numpy works a third faster with 0-d arrays than with floats.
 MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
-SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
+SOC_IN_CELL_V = 2.5  # 1 % of charge weighs as 25 mV of a cell, so that one crossing rule serves both limits
 # Share of the draws that is simulated to the end; the 95 % point lies among their ends. The last few would cost a fifth
 # of all steps, and count as ending with the last of these.
 COUNTED = 0.96
@@ -50,10 +50,10 @@ class Flying(NamedTuple):
     """Flying holds the packs of a forecast, drawn from a belief, and the power that each will fly.
 
     pack : with the limits of its weakest cell; x : the draws [9, draws]; power_W : true power [W], [steps, draws];
-    ambient_C : temperature of the air [°C]; dt_s : lengths of the steps [s], [steps]; reserve_soc : a charge below it
-    ends the flight; by_rows : the steps are the telemetry's rows, between which the power goes straight, and the median
-    of three of them judges. Several forecasts fly side by side with a batch of two dimensions, over which `dt_s`,
-    `ambient_C` and the pack's limits broadcast.
+    ambient_C : temperature of the air [°C]; dt_s : lengths of the steps [s], [steps]; reserve_soc : charge that shall
+    be left at the end; by_rows : the steps are the telemetry's rows, between which the power goes straight, and the
+    median of three of them judges. Several forecasts fly side by side with a batch of two dimensions, over which
+    `dt_s`, `ambient_C` and the pack's limits broadcast.
     """
 
     pack: Pack
@@ -73,9 +73,13 @@ class Normals(NamedTuple):
 
 
 def time_to_end(
-    flying: Flying, wander: Normals | None = None, own_steps: Number = np.inf, enough: float = 1.0
+    flying: Flying,
+    wander: Normals | None = None,
+    least_soc: Number = -np.inf,
+    own_steps: Number = np.inf,
+    enough: float = 1.0,
 ) -> EndTimes:
-    """Return when each draw's flight ends: metered voltage below the pack's cut-off or charge below the reserve.
+    """Return when each draw's flight ends: metered voltage below the pack's cut-off or charge below `least_soc`.
 
     wander : without it the discrepancy stays and rows are exact; own_steps : steps after which each forecast's horizon
     ends. The simulation is over when a share `enough` of each forecast's draws has ended; the others are inf.
@@ -88,7 +92,7 @@ def time_to_end(
     gained_V2 = bias_variance(pack, dt_s)
     fast, slow, core, unread = model.cell_lags(cell, dt_s)
     batch = flying.x.shape[1:]
-    limits = _Limits(flying, _times(dt_s, len(batch)), own_steps, float(np.min(own_steps)))
+    limits = _Limits(flying, least_soc, _times(dt_s, len(batch)), own_steps, float(np.min(own_steps)))
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *batch)))
     ends = EndTimes(*np.full((2, *batch), np.inf))
     tables, asked, bias_V, before = curve_tables(pack), power_W / size, flying.x[X.BIAS], None
@@ -144,6 +148,7 @@ class _Limits(NamedTuple):
     """_Limits holds the limits by which steps are judged; `at_s` are the times of all steps."""
 
     flying: Flying
+    least_soc: Number
     at_s: Array
     own_steps: Number
     fewest_steps: float
@@ -157,7 +162,7 @@ def _times(dt_s: Array, dimensions: int) -> Array:
 
 def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTimes:
     """Return the ends that are known after step `k`; the last steps are kept for the next ones."""
-    pack, reserve_soc, installation = limits.flying.pack, limits.flying.reserve_soc, limits.flying.pack.installation
+    pack, installation = limits.flying.pack, limits.flying.pack.installation
     new = k % JUDGED_AT_ONCE + 1
     known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
     part, steps = slice(JUDGED_BEFORE - known, JUDGED_BEFORE + new), slice(k + 1 - new - known, k + 1)
@@ -165,8 +170,7 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
     if limits.flying.by_rows:
         volts += recent.noise_V[part]
     margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
-    if reserve_soc > 0.0:
-        margin_V = np.minimum(margin_V, (recent.soc[part] - reserve_soc) * SOC_IN_VOLTS)
+    margin_V = np.minimum(margin_V, (recent.soc[part] - limits.least_soc) * SOC_IN_CELL_V * installation.cells)
     if k >= limits.fewest_steps:
         within = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < limits.own_steps
         margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)

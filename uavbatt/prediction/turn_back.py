@@ -23,7 +23,7 @@ from uavbatt.prediction.route_legs import legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
 from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
-from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
+from uavbatt.prediction.time_to_end import SOC_IN_CELL_V
 
 TURNS, CROWDED = 16, 1.5  # number of instants; early ones are closer together
 CLIMB_STEPS = 3  # least steps of a climb, because the sag is deepest at its end
@@ -138,7 +138,8 @@ def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float)
     above_V = above_cutoff_V(draws, at, power_W)
     if not reserve_soc > 0.0:
         return above_V
-    return np.asarray(np.minimum(above_V, (draws.state.soc - reserve_soc) * SOC_IN_VOLTS))
+    above_reserve_V = (draws.state.soc - reserve_soc) * SOC_IN_CELL_V * draws.installation.cells
+    return np.asarray(np.minimum(above_V, above_reserve_V))
 
 
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:
