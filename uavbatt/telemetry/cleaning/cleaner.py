@@ -3,12 +3,12 @@
 A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
 then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. The same holds in the
 air for a voltage that falls within a second below 3 V a cell, by more than 1 V a cell, under an unchanged current: no
-discharge does that. It is used again from 3 V a cell on. A temperature that a cell cannot have, or that starts as hot
-as a circuit board, is not used. A current that no pack of the size can give is not used: with it the model would
-overflow. A current that leaps while the voltage stays where it was is not used for up to 2 s: it is a fault of the
-sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A current that is
-missing for up to 5 s is held. Without a current sensor the current is worked out from the power that the operator
-stated, or from a typical power, and the filter gives it a wide error.
+discharge does that. A fall that one failing cell explains is used. The voltage is used again from 3 V a cell on. A
+temperature that a cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of
+the size can give is not used: with it the model would overflow. A current that leaps while the voltage stays where it
+was is not used for up to 2 s: it is a fault of the sensor, or the voltage is late. The voltage may have moved before
+it: then the current is late. A current that is missing for up to 5 s is held. Without a current sensor the current is
+worked out from the power that the operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the volt
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
 BROKEN_FALL_V = 1.0  # a cell that falls so far below its last seconds, under the same current, has lost its meter
+ONE_CELL = 1.25  # a fall of fewer cells' voltage may be a cell that fails
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -119,7 +120,8 @@ class Cleaner(NamedTuple):
         if sample.armed is False or sample.voltage_V >= cells * EMPTIEST_CELL_V:
             return False
         is_at_once = sample.time_s - self.level_s <= LEAP_WITHIN_S
-        is_deep = self.level_V - sample.voltage_V > cells * BROKEN_FALL_V
+        deep_V = max(cells * BROKEN_FALL_V, ONE_CELL * self.level_V / max(cells, 1))
+        is_deep = self.level_V - sample.voltage_V > deep_V
         return self.is_broken or (is_at_once and is_deep and not sample.current_A - self.level_A > leap_A)
 
     def _with_temperature(self, sample: Sample) -> tuple[Cleaner, float]:
