@@ -125,8 +125,8 @@ class Forecaster:
         """Take a sample into the memory; return why there can be no forecast, and the forecast to simulate, if any.
 
         belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come. The
-        reason is empty where there can be a forecast; the forecast is None between two of them. No simulated forecast is
-        used, so that a replay can take many rows in and simulate their forecasts at once.
+        reason is empty where there can be a forecast; the forecast is None between two of them. No simulated forecast
+        is used, so that a replay can take many rows in and simulate their forecasts at once.
         """
         self._remember(sample, navigation)
         flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground

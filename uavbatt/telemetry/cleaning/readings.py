@@ -20,6 +20,7 @@ ABSENT_S = 5.0  # without a current for so long from the start: there is no sens
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
 BROKEN_FALL_V = 1.0  # a cell that falls so far below its last seconds, under the same current, has lost its meter
+ONE_CELL = 1.25  # a fall of fewer cells' voltage may be a cell that fails
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CELL_SPREAD_TAU_S = 30.0
 
@@ -59,7 +60,8 @@ class VoltageSeen(NamedTuple):
         if sample.armed is False or sample.voltage_V >= cells * EMPTIEST_CELL_V:
             return False
         is_at_once = sample.time_s - self.used_s <= LEAP_WITHIN_S
-        is_deep = self.level_V - sample.voltage_V > cells * BROKEN_FALL_V
+        deep_V = max(cells * BROKEN_FALL_V, ONE_CELL * self.level_V / max(cells, 1))
+        is_deep = self.level_V - sample.voltage_V > deep_V
         return self.is_broken or (is_at_once and is_deep and not sample.current_A - self.level_A > leap_A)
 
 
