@@ -42,11 +42,10 @@ BEYOND_SIX_HOURS = Notice(
     "the end may be more than six hours away: this is not the load of a flight", Kind.BEYOND_SIX_HOURS
 )
 SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
-# Number of steps to the typical end, and the longest step [s]. Gusts must be simulated one by one: with steps of 15 s
+# Number of steps to the typical end, shortest and longest step [s]. Gusts must be simulated one by one: with steps of 15 s
 # worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.
-STEPS, LONGEST_STEP_S = 100, 10.0
+STEPS, SHORTEST_STEP_S, LONGEST_STEP_S = 100, 1.0, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
-SHORTEST_STEP_S = 1.0
 LONGEST_FLIGHT_S = 6 * 3600.0  # longest time at the typical power with all the charge that may be left
 LONGEST_SHARE = 2.0  # horizon over the time at the typical power; the gentlest load is half
 
