@@ -42,7 +42,7 @@ BEYOND_SIX_HOURS = Notice(
     "the end may be more than six hours away: this is not the load of a flight", Kind.BEYOND_SIX_HOURS
 )
 SETTLED_S = 4.0  # two blocks of the filter: it has then seen the effect of the load
-# Number of steps to the typical end, shortest and longest step [s]. Gusts must be simulated one by one: with steps of 15 s
+# Steps to the typical end, shortest and longest step [s]. Gusts must be simulated one by one: with steps of 15 s
 # worn packs get 5 s too much at half time. Under a steady power longer steps change the end by less than 0.3 %.
 STEPS, SHORTEST_STEP_S, LONGEST_STEP_S = 100, 1.0, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
