@@ -42,10 +42,10 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     most = most_beliefs(table[0], state.time_s)
-    new, in_force, shown, (time_s, current_A, block_A, block, air, since_load_s) = run(
+    new, in_force, shown, (time_s, current_A, block_A, block, air, load) = run(
         as_numbers(pack),
         state.air,
-        state.since_load_s,
+        state.load,
         table,
         most,
         state.time_s,
@@ -62,8 +62,8 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(in_force.tolist(), shown.tolist(), strict=True)
     ]
-    open_block, air = Block(*block.tolist()), noise.Air(*air)
-    return rows, FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, since_load_s)
+    open_block, air, load = Block(*block.tolist()), noise.Air(*air), noise.LastLoad(*load)
+    return rows, FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load)
 
 
 @compiled
@@ -79,19 +79,26 @@ def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: A
 
 @compiled
 def close(
-    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air, since_load_s: float
-) -> tuple[Array, float, float, float, float, noise.Air, float]:
+    pack: Pack,
+    x: Array,
+    P: Array,
+    log_weight: Array,
+    block: Array,
+    block_A: float,
+    air: noise.Air,
+    load: noise.LastLoad,
+) -> tuple[Array, float, float, float, float, noise.Air, noise.LastLoad]:
     """Take a block in, as `recursion._close` does: it changes every member in place.
 
     Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
-    current, the air after it, and for how long the pack has rested since its last load [s].
+    current, the air after it, and the last load.
     """
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
     weight, members = np.exp(log_weight), log_weight.size
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
-    since_load_s = noise.since_load_after(since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
-    is_settling = noise.is_settling(since_load_s)
+    load = noise.load_after(load, c_rate(pack.installation, block[2] / dt_s), dt_s)
+    is_settling = noise.is_settling(load)
     for k in range(members):
         if is_settling:
             settle(pack, x[k], P[k], dt_s)
@@ -107,7 +114,7 @@ def close(
         log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
-    return log_weight, shown_V, shown_nis, expected_V, mean_A, air, since_load_s
+    return log_weight, shown_V, shown_nis, expected_V, mean_A, air, load
 
 
 @compiled
@@ -137,7 +144,7 @@ def show_within(
 def run(
     pack: Pack,
     air: noise.Air,
-    since_load_s: float,
+    load: noise.LastLoad,
     rows: Array,
     most: int,
     at_s: float,
@@ -153,7 +160,7 @@ def run(
     most : the largest number of beliefs that the rows can give, the given one included. Returns the beliefs (means [m,
     members, 9], covariances, ln of the weights and ambient temperatures [m], the given one first), which of them is in
     force after each row, what each row shows [n, 4] as `Innovation` has it, and the state after the last row: its time
-    [s], currents of the last row and block [A], the open block, the air, the time since the last load [s].
+    [s], currents of the last row and block [A], the open block, the air, the last load.
     """
     n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
@@ -170,9 +177,7 @@ def run(
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
-            log_weight, _, _, _, block_A, air, since_load_s = close(
-                pack, x, P, log_weight, block, block_A, air, since_load_s
-            )
+            log_weight, _, _, _, block_A, air, load = close(pack, x, P, log_weight, block, block_A, air, load)
         block[0] += 1.0
         block[1] += dt_s
         block[2] += 0.5 * (before_A + current_A) * dt_s
@@ -185,8 +190,8 @@ def run(
         if block[1] < BLOCK_S:
             drawn_As[k], true_A[k] = block[2], current_A
             continue
-        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, since_load_s = close(
-            pack, x, P, log_weight, block, block_A, air, since_load_s
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, load = close(
+            pack, x, P, log_weight, block, block_A, air, load
         )
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
@@ -201,4 +206,4 @@ def run(
         )  # fmt: skip
         begin = end
     beliefs = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1], ambients_C[: last + 1])
-    return beliefs, in_force, shown, (at_s, before_A, block_A, block, air, since_load_s)
+    return beliefs, in_force, shown, (at_s, before_A, block_A, block, air, load)
