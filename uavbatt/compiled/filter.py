@@ -44,7 +44,7 @@ class Standing(NamedTuple):
     block_A: float
     block: Array
     air: noise.Air
-    since_load_s: float
+    load: noise.LastLoad
 
 
 class Filtered(NamedTuple):
@@ -78,16 +78,17 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
     ]
-    time_s, current_A, block_A, block, air, since_load_s = found.standing
+    time_s, current_A, block_A, block, air, load = found.standing
     open_block = Block(*block.tolist())
-    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, noise.Air(*air), since_load_s)
+    air, load = noise.Air(*air), noise.LastLoad(*load)
+    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load)
     return rows, now
 
 
 def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Standing, Array, int]:
     """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
     belief, block = state.belief, np.array(state.block, dtype=float)
-    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.since_load_s)
+    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.load)
     rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     moments = Moments(belief.means, belief.covariances, belief.log_weights)
     return moments, as_numbers(standing), rows, most_beliefs(rows[0], state.time_s)
@@ -120,8 +121,8 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
-    since_load_s = noise.since_load_after(at.since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
-    is_settling = noise.is_settling(since_load_s)
+    load = noise.load_after(at.load, c_rate(pack.installation, block[2] / dt_s), dt_s)
+    is_settling = noise.is_settling(load)
     for k in range(members):
         if is_settling:
             settle(pack, now.x[k], now.P[k], dt_s)
@@ -139,7 +140,7 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
     soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
-    after = Standing(at.time_s, at.current_A, mean_A, block, air, since_load_s)
+    after = Standing(at.time_s, at.current_A, mean_A, block, air, load)
     return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)
 
 
@@ -188,7 +189,7 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     n, last = rows.shape[1], 0
     now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
     block, time_s, before_A = at.block.copy(), at.time_s, at.current_A
-    at = Standing(time_s, before_A, at.block_A, block, at.air, at.since_load_s)
+    at = Standing(time_s, before_A, at.block_A, block, at.air, at.load)
     kept = Moments(
         np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
     )
@@ -214,7 +215,7 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
         in_force[k], ambient_C[last] = last, at.air.ambient_C
     show_blocks(pack, kept, in_force, drawn_As, true_A, rows[1], shown)
     first = Moments(kept.x[: last + 1], kept.P[: last + 1], kept.log_weight[: last + 1])
-    at = Standing(time_s, before_A, at.block_A, block, at.air, at.since_load_s)
+    at = Standing(time_s, before_A, at.block_A, block, at.air, at.load)
     return Filtered(first, ambient_C[: last + 1], in_force, shown, at)
 
 

@@ -48,6 +48,9 @@ AIR_GAIN_PS, LONGEST_AIR_STEP_S = 0.2, 10.0
 # slower than in the battery file, so that the voltage says nothing about the capacity in this time. Without this rule a
 # pack that landed nearly empty is believed to be three times as full.
 SETTLING_S, SETTLED_AFTER_S = 30.0, 60.0
+# A load is over when a small share of it is left: a glider draws 0.4 C after 8 C. The share is of the highest load of
+# the last minute, which fades: a VTOL that cruises at a fifth of its lift settles for 20 s only (60 s were too many).
+LIGHT_SHARE, LOAD_TAU_S = 0.25, 60.0
 
 VOLTAGE_SD_V = 0.004
 # Noise as a multiple of the increase of the reaction's voltage drop since the last block. The curvature of that drop is
@@ -145,14 +148,24 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     return q
 
 
-def since_load_after(since_load_s: float, rate_c: float, dt_s: float) -> float:
-    """Return the time since the last load [s], after `dt_s` [s] at a C-rate; NaN before the first load."""
-    return 0.0 if abs(rate_c) > IDLE_C_RATE else since_load_s + dt_s
+class LastLoad(NamedTuple):
+    """LastLoad holds the time since the last load [s], NaN before the first, and how high it was [1/h], fading."""
+
+    since_s: float = math.nan
+    rate_c: float = 0.0
 
 
-def is_settling(since_load_s: float) -> bool:
+def load_after(last: LastLoad, rate_c: float, dt_s: float) -> LastLoad:
+    """Return the last load after `dt_s` [s] at a C-rate."""
+    rate = abs(rate_c)
+    highest = max(rate, last.rate_c * math.exp(-dt_s / LOAD_TAU_S))
+    is_over = rate <= max(IDLE_C_RATE, LIGHT_SHARE * highest)
+    return LastLoad(last.since_s + dt_s if is_over else 0.0, highest)
+
+
+def is_settling(last: LastLoad) -> bool:
     """Return True shortly after a load, when unknown overpotentials still move the voltage."""
-    return 0.0 < since_load_s < SETTLED_AFTER_S
+    return 0.0 < last.since_s < SETTLED_AFTER_S
 
 
 def rested_variance(pack: Pack, soc: Number) -> Number:

@@ -49,7 +49,7 @@ class FilterState(NamedTuple):
     block_A: float  # mean of the last block
     block: Block  # the open block
     air: noise.Air
-    since_load_s: float = math.nan  # NaN before the first load
+    load: noise.LastLoad = noise.LastLoad()
 
 
 class Innovation(NamedTuple):
@@ -181,15 +181,15 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     block, at = state.block, state.belief
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate = float(c_rate(pack.installation, mean_A))
-    since_load_s = noise.since_load_after(state.since_load_s, rate, dt_s)
-    is_settling = noise.is_settling(since_load_s)
+    load = noise.load_after(state.load, rate, dt_s)
+    is_settling = noise.is_settling(load)
     x, P = _settled(pack, at, dt_s) if is_settling else (at.means, at.covariances)
     process_Q = noise.process_variances(pack, x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, at.ambient_C, dt_s), x, P, process_Q)
     predicted, step_A = Belief(x, P, at.log_weights, at.ambient_C), block.current_A - state.block_A
     belief, shown, air = _update(pack, predicted, state.air, block, step_A, condition, weighs=not is_settling)
     after = state_at(pack, belief, state.time_s, state.current_A, air)
-    return after._replace(block_A=block.current_A, since_load_s=since_load_s), shown
+    return after._replace(block_A=block.current_A, load=load), shown
 
 
 def _settled(pack: Pack, at: Belief, dt_s: float) -> tuple[Array, Array]:
