@@ -75,8 +75,10 @@ def content_hash(file: BatteryFile) -> str:
     wander = file.discrepancy.wander
     if wander is None:
         del content["discrepancy"]["wander"]
-    elif wander.coldest_C is None:
-        del content["discrepancy"]["wander"]["coldest_C"]
+    else:
+        for key in ("coldest_C", "start_soc"):
+            if content["discrepancy"]["wander"][key] is None:
+                del content["discrepancy"]["wander"][key]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -78,7 +78,8 @@ class Wander(Record, frozen=True):
 
     Under load the voltage error is an Ornstein-Uhlenbeck process with the sd `voltage_sd_V` at the charges `soc` and
     the time constant `voltage_time_s`, plus white noise; at rest before take-off it is constant with the sd
-    `rest_sd_V`. Volts are the pack's. No flight that began colder than `coldest_C` was used.
+    `rest_sd_V`. Volts are the pack's. No flight that began colder than `coldest_C` was used. Freshly charged
+    packs of the records began with the charge `start_soc`; None: full by the file's own open-circuit voltage.
     """
 
     soc: SocKnots
@@ -90,6 +91,7 @@ class Wander(Record, frozen=True):
     temperature_time_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
     temperature_noise_K: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
     coldest_C: Annotated[float, msgspec.Meta(ge=-60.0, le=100.0)] | None = None
+    start_soc: Annotated[float, msgspec.Meta(ge=0.5, le=1.0)] | None = None
 
 
 class Discrepancy(Record, frozen=True):

@@ -61,7 +61,7 @@ def start_class(problem: Problem, unchanged: Refit) -> EffectClass:
     """Return the class of the starting charge, for records that rested well below full."""
     evidence = problem.evidence
     starts = evidence.start_soc + evidence.start_sd * unchanged.v[:, 0]
-    shift = starts[evidence.charged_in_part] - 1.0
+    shift = starts[evidence.charged_in_part] - evidence.full_soc
     mean, half = float(np.mean(shift)), float(np.hypot(START_ERROR, 2.0 * np.std(shift) / np.sqrt(len(shift))))
     name = "initial_charge"
     return EffectClass((name,), NEVER_SURE, {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")},

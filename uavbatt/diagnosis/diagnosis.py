@@ -153,12 +153,13 @@ class _SearchResult(NamedTuple):
 def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) -> list[Candidate]:
     """Return the effects that these records could show, less those that are left out."""
     alone = ("weak_cell",) if problem.pack.installation.cells == 1 else ()
+    slow = () if problem.evidence.shows_delay else ("current_delay",)
     return candidates(
         file,
         problem.base,
         has_temperature=problem.evidence.has_temperature,
         idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=(*without, *alone),
+        without=(*without, *alone, *slow),
     )
 
 

@@ -27,7 +27,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
-from uavbatt.diagnosis.meter_noise import noise_V, resting_noise_V
+from uavbatt.diagnosis.meter_noise import noise_V, resting_noise_V, spacing_s
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -76,8 +76,10 @@ class Evidence:
     known_ambient: Array
     start_soc: Array
     start_sd: Array
+    full_soc: float
     charged_in_part: NDArray[np.bool_]  # rested well below full: the start is known to be another than believed
     familiar: NDArray[np.bool_]  # begins no colder than what the file's error was learned on
+    shows_delay: bool  # rows come often enough to tell a late current from the instant of a step of the load
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,7 +92,7 @@ class Evidence:
         full = self.charged_in_part
         return replace(
             self,
-            start_soc=np.where(full, 1.0, self.start_soc),
+            start_soc=np.where(full, self.full_soc, self.start_soc),
             start_sd=np.where(full, FULL_SD, self.start_sd),
             charged_in_part=np.zeros_like(full),
         )
@@ -156,7 +158,8 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
     steep_V, resting_V = _steep_V(file, ocv_soc, records[0].cells), resting_noise_V(records)
-    start_soc, start_sd, in_part = _starts(stack, ocv_soc)
+    full_soc = spread.start_soc or 1.0
+    start_soc, start_sd, in_part = _starts(stack, ocv_soc, full_soc)
     return Evidence(
         stack=stack,
         volts=tuple(
@@ -168,8 +171,10 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,
+        full_soc=full_soc,
         charged_in_part=in_part,
         familiar=np.array([_cold(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
+        shows_delay=all(spacing_s(r) <= observed.BIN_S for r in records),
     )
 
 
@@ -201,17 +206,17 @@ def _content(record: ObservedRecord) -> tuple[float, ...]:
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
 
-def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _starts(stack: Stack, ocv_soc: tuple[Array, Array], full_soc: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
-    A pack that rests near full counts as full. If it rests lower, the voltage shows its charge. Under load the start is
-    a guess.
+    A pack that rests near full counts as full: it has the charge `full_soc` of the battery file's full packs. If it
+    rests lower, the voltage shows its charge. Under load the start is a guess.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_OHMAH)
     guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), LEAST_START, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
-    centre = np.where(full, 1.0, guess)
+    centre = np.where(full, full_soc, guess)
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 

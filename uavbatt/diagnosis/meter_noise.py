@@ -19,11 +19,11 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
     and noise of one sensor alone is left, which the model cannot follow.
     """
-    spacing_s = _spacing_s(record)
-    if spacing_s > FAST_ROW_S:
+    apart_s = spacing_s(record)
+    if apart_s > FAST_ROW_S:
         return 0.0
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(BENT_BY_ONE * observed.BIN_S / spacing_s))
+    return float(observed.MAD_TO_SD * bent_V / np.sqrt(BENT_BY_ONE * observed.BIN_S / apart_s))
 
 
 def resting_noise_V(records: list[ObservedRecord]) -> float:
@@ -33,12 +33,13 @@ def resting_noise_V(records: list[ObservedRecord]) -> float:
     second differences show the noise at any spacing. All records count together, because one has few such rows. Without
     it every row at rest would count as free of noise, and a sound data set as one with an unknown effect.
     """
-    bent_V = [np.diff(_rested_V(r), 2) for r in records if _spacing_s(r) > FAST_ROW_S]
+    bent_V = [np.diff(_rested_V(observed.binned(r)), 2) for r in records if spacing_s(r) > FAST_ROW_S]
     together = np.concatenate([np.zeros(0), *bent_V])
     return float(np.sqrt(np.mean(together**2) / BENT_BY_ONE)) if together.size else 0.0
 
 
-def _spacing_s(record: ObservedRecord) -> float:
+def spacing_s(record: ObservedRecord) -> float:
+    """Return the usual time between two rows of a record [s]."""
     return float(np.median(np.diff(record.time_s)))
 
 

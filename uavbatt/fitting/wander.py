@@ -32,6 +32,7 @@ LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # n
 LEAST_K, LEAST_NOISE_K = 0.15, 0.02
 USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
 USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
+NOT_FULL, FULL = 0.85, 0.99  # chargers end within a hundredth of full; far lower a pack was not charged
 DIGITS = 4  # significant: the sds are known to two
 PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # sds of logarithms
 NUDGE = 1e-3  # finite difference in the logarithms
@@ -129,4 +130,11 @@ def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) 
         temperature_time_s=rounded(warmth[1], DIGITS),
         temperature_noise_K=rounded(warmth[2], DIGITS),
         coldest_C=rounded(float(np.min(starts_C)), DIGITS) if np.isfinite(starts_C).all() else None,
+        start_soc=_usual_start(trajectory.soc[0, records][stack.rested[records]]),
     )
+
+
+def _usual_start(started: Array) -> float | None:
+    """Return the mean charge with which rested records began, or None if they began full or not full on purpose."""
+    mean = float(np.mean(started)) if started.size else 1.0
+    return rounded(mean, DIGITS) if NOT_FULL < mean < FULL else None
