@@ -48,6 +48,11 @@ def test_voltage_steps_down_after_run_6(found):
     assert finding.numbers["step"] == pytest.approx(-0.09, abs=0.005)
 
 
+def test_a_drift_of_one_sample_is_seen_although_the_other_was_tested_less_often(study):
+    kept = tuple(r for r in study.runs if r.sample != "2" or r.run <= 5)
+    assert one(findings(replace(study, runs=kept)), "drift").numbers["after_run"] == 6
+
+
 def test_curve_at_25_is_outside_at_5_of_9(found):
     finding = one(found, "curve_outside_corridor")
     assert (finding.numbers["outside"], finding.numbers["instants"]) == (5, 9)

@@ -85,6 +85,18 @@ def test_a_model_that_never_falls_fails_although_its_error_cannot_be_timed(study
     assert gate.crossing_claim(flat, LIMITS, study.uncertainty).verdict == "fail"
 
 
+@pytest.mark.parametrize(("after_s", "verdict"), [(5.0, "not enough data"), (60.0, "fail")])
+def test_a_record_that_ends_right_after_the_crossing_does_not_show_how_late_the_model_is(
+    study: DataSet, held: HeldOut, after_s: float, verdict: str
+) -> None:
+    time_s = np.arange(0.0, 400.0 + after_s + 1.0, 5.0)
+    measured_V = 10.0 + 0.01 * (400.0 - time_s)
+    model_V = measured_V + 0.01 * (after_s + 10.0)
+    curves = tuple(heldout.Curve(k, 0, time_s, measured_V, model_V) for k in range(10))
+    claim = gate.crossing_claim(replace(held, curves=curves), LIMITS, study.uncertainty)
+    assert claim.verdict == verdict
+
+
 def test_wider_limits_are_an_option_and_narrow_ones_stop_the_model(study: DataSet, held: HeldOut) -> None:
     def verdict(limit_V: float) -> str:
         return gate.voltage_claim(held, Limits(voltage_V=limit_V), study.cutoff_V, study.uncertainty).verdict

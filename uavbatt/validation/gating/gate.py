@@ -187,24 +187,36 @@ def _crossings(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
 
 
 def _timed(name: str, held_out: HeldOut, levels_V: Array, limits: Limits, instruments: Uncertainty) -> Claim:
-    """Make the claim about a crossing time; a model that never falls through is late by the rest of the record."""
+    """Make the claim about a crossing time.
+
+    A model that never falls through is late by the rest of the record at least: it fails if that is more than the
+    limit, and is not known otherwise.
+    """
     at = np.array([float(np.mean(levels_V))])
     runs = [c for c in held_out.runs() if np.isfinite(c.measured_V).all()]
     measured = np.array([_crossings(c.time_s, c.measured_V, levels_V) for c in runs]).reshape(-1, levels_V.size)
     ends = np.array([c.time_s[-1] for c in runs])
     model = np.array([_crossings(c.time_s, c.model_V, levels_V) for c in runs]).reshape(measured.shape)
-    late = int(np.sum(np.isnan(model) & np.isfinite(measured)))
+    late = np.isnan(model) & np.isfinite(measured)
     model = np.where(np.isnan(model), ends[:, None], model)
     reached = np.isfinite(measured).all(axis=1)
-    residual = _by_occasion(runs, (model - measured).mean(axis=1), reached)
+    late_s = (model - measured).mean(axis=1)
+    too_late = late.any(axis=1) & (late_s > limits.time_s)
+    residual = _by_occasion(runs, late_s, reached)
     if len(residual) < LEAST_OCCASIONS:
         reason = _too_few(len(residual), f" fall to {at[0]:.4g} V")
         return claim_without_bias(name, held_out.ambient_C, reason, gates=True, limit=limits.time_s, unit="s")
     b = budgets.time_budget(held_out, levels_V, residual, _slope(runs, levels_V), instruments)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.time_s)
-    if late and verdict != "fail":
-        verdict, reason = "fail", f"the model does not fall that far in {late} of {model.size} crossings"
+    if too_late.any() and verdict != "fail":
+        verdict, reason = "fail", f"the model does not fall that far in {late.sum()} of {model.size} crossings"
+    elif late.any() and verdict != "fail":
+        reason = (
+            f"the records end before the model falls that far in {late.sum()} of {model.size} crossings, less than "
+            f"{limits.time_s:g} s after the crossing: discharge further"
+        )
+        verdict = "not enough data"
     return Claim(name, held_out.ambient_C, verdict, reason, True, at, bias, half, b.guard, limits.time_s, "s", b)
 
 

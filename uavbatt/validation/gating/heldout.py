@@ -54,7 +54,7 @@ class HeldOut:
 
     The surface temperatures are None where they were not measured. `at_rest` marks the instants before the load,
     `row_s` and `step_V` are the spacing of the original rows and the smallest step between their voltages, `curves`
-    are the fast records in full (none for tables read by hand), `singles` the runs at other temperatures.
+    are the records in full (none for tables read each minute), `singles` the runs at other temperatures.
     """
 
     model: str
@@ -235,7 +235,7 @@ def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[
         at, w = levels.samples.index(test.sample), fast_records.weights(time_s, phase, levels.time_s)
         volts[at] = levels.values[k, at] + w @ (model - measured)
         surface[at] = w @ run.sensor_C[rows, j]
-        if fast_records.is_fast(test):
+        if fast_records.is_finer_than_minutes(test):
             curves.append(Curve(k, at, time_s, own @ measured, own @ model))
     return _Fold(volts, surface, curves, singles)
 

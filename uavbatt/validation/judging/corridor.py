@@ -121,6 +121,24 @@ def shared_table(levels: Levels) -> SharedTable:
     return SharedTable(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
+def occasion_means(levels: Levels) -> tuple[tuple[int, ...], Array]:
+    """Return the occasions and their means over the samples [occasion, time], each sample at its own level.
+
+    Samples with fewer runs count where they were tested: value = sample + occasion + error, by least squares. A mean
+    of the occasions that all samples share would not see a drift in the others. If no two occasions are shared, the
+    runs are taken in order, as in `shared_table`.
+    """
+    run, sample = np.nonzero(~np.isnan(levels.values).any(axis=2))
+    shared = shared_table(levels)
+    if set(shared.occasions) - set(levels.occasions) or len(run) == shared.table[:, :, 0].size:
+        return shared.occasions, shared.table.mean(axis=1)
+    tested = np.unique(run)
+    design = np.column_stack([run[:, None] == tested, sample[:, None] == np.arange(len(levels.samples))]).astype(float)
+    effects = np.linalg.lstsq(design, levels.values[run, sample], rcond=None)[0]
+    means: Array = effects[: len(tested)] + effects[len(tested) :].mean(axis=0)
+    return tuple(levels.occasions[i] for i in tested), means
+
+
 def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE) -> Corridor | None:
     """Build the corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
     levels = readings.levels(ambient_C, quantity)

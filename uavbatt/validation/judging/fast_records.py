@@ -29,6 +29,11 @@ def is_fast(run: Run) -> bool:
     return bool(np.median(np.diff(run.time_s)) < WINDOW_S / 2.0)
 
 
+def is_finer_than_minutes(run: Run) -> bool:
+    """Return True if the record has rows between the whole minutes, so that it shows what happens there."""
+    return bool(np.median(np.diff(run.time_s)) < MINUTE_S)
+
+
 def rest_limit_A(current_A: Array) -> float:
     """Return the current [A] below which a row is at rest: REST_SHARE of the record's upper current (90 % point)."""
     return REST_SHARE * float(np.quantile(current_A, 0.9))

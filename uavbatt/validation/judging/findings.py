@@ -14,7 +14,7 @@ import numpy as np
 from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
-from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
+from uavbatt.validation.judging.corridor import Corridor, leave_one_out, occasion_means, shared_table
 from uavbatt.validation.judging.drift import abbe, curve_step
 from uavbatt.validation.judging.finding import NAMES, UNITS, Finding, minutes
 from uavbatt.validation.judging.independence import bimodality, independence, resolution
@@ -166,9 +166,8 @@ def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
 
 
 def _drift(levels: Levels) -> Iterator[Finding]:
-    """Test the occasion means for drift by Abbe, Holm over the instants, and find the step over those that drift."""
-    shared = shared_table(levels)
-    means = shared.table.mean(axis=1)
+    """Test the occasions for drift by Abbe, Holm over the instants, and find the step over those that drift."""
+    occasions, means = occasion_means(levels)
     if len(means) < 6:
         return
     p = np.array([abbe(c).p_value for c in means.T])
@@ -176,7 +175,7 @@ def _drift(levels: Levels) -> Iterator[Finding]:
     if not len(drifting) or np.nanmin(p) * np.sum(~np.isnan(p)) > 0.05:
         return
     step, unit = curve_step(means[:, drifting]), UNITS[levels.quantity]
-    last = shared.occasions[step.after - 1]
+    last = occasions[step.after - 1]
     sizes = means[step.after :, drifting].mean(axis=0) - means[: step.after, drifting].mean(axis=0)
     most = int(np.argmax(np.abs(sizes)))
     way, at = "down" if sizes[most] < 0 else "up", levels.time_s[drifting]

@@ -1,0 +1,85 @@
+"""Bench tests with a row every 10 s: their noise at rest, their delays, and packs that rest below the file's full."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from planted_flights import CAPACITY_AH, CELLS, FILE, PACK, fly
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.diagnosis.diagnosis import options_of, problem_of
+from uavbatt.diagnosis.meter_noise import resting_noise_V
+from uavbatt.fitting import observed, solve, wander
+from uavbatt.fitting.observed import ObservedRecord
+
+NOISE_V = 0.007
+
+
+def bench_test(seed: int, apart_s: float = 10.0, rested_V: float = 16.74) -> ObservedRecord:
+    """Three minutes of rest, read with noise, then a flight's discharge; one row every `apart_s` [s]."""
+    flown, noise = fly(25.0, 160.0, seed), np.random.default_rng(seed)
+    rest_s, rows = np.arange(0.0, 180.0, apart_s), np.arange(20, flown.time_s.size, int(apart_s))
+    resting = np.zeros(rest_s.size)
+    return ObservedRecord(
+        f"test {seed}",
+        np.concatenate([rest_s, 160.0 + flown.time_s[rows]]),
+        np.concatenate([rested_V + NOISE_V * noise.standard_normal(rest_s.size), flown.voltage_V[rows]]),
+        np.concatenate([resting, flown.current_A[rows]]),
+        np.concatenate([resting + 25.0, flown.temp_C[rows]]),
+        25.0,
+        CELLS,
+        CAPACITY_AH,
+    )
+
+
+@pytest.fixture(scope="module")
+def slow() -> list[ObservedRecord]:
+    return [bench_test(seed) for seed in range(1, 9)]
+
+
+def test_rows_at_rest_show_the_noise_of_the_voltmeter_at_any_spacing(slow: list[ObservedRecord]) -> None:
+    assert resting_noise_V(slow) == pytest.approx(NOISE_V, rel=0.25)
+    loaded_at_once = [replace(r, current_A=np.maximum(r.current_A, 10.0)) for r in slow]
+    assert resting_noise_V(loaded_at_once) == 0.0
+
+
+def test_the_noise_at_rest_is_no_evidence(slow: list[ObservedRecord]) -> None:
+    problem = problem_of(slow, FILE, PACK)
+    squares = []
+    for j, volts in enumerate(problem.evidence.volts):
+        measured_V = problem.evidence.stack.voltage_V[volts.rows, j]
+        noise_V = np.where(volts.rest, measured_V - np.mean(measured_V[volts.rest]), 0.0)
+        squares += list((volts.inverse @ noise_V)[volts.rest] ** 2)
+    assert 0.5 < np.mean(squares) < 1.5
+
+
+def test_rows_ten_seconds_apart_show_no_delay_of_the_current(slow: list[ObservedRecord]) -> None:
+    names = {c.name for c in options_of(problem_of(slow, FILE, PACK), FILE, ())}
+    assert "current_delay" not in names and "current_offset" in names
+    quick = [bench_test(seed, apart_s=1.0) for seed in (1, 2)]
+    assert "current_delay" in {c.name for c in options_of(problem_of(quick, FILE, PACK), FILE, ())}
+
+
+def with_start(soc: float | None) -> BatteryFile:
+    told = msgspec.structs.replace(FILE.discrepancy.wander, start_soc=soc)
+    return msgspec.structs.replace(FILE, discrepancy=msgspec.structs.replace(FILE.discrepancy, wander=told))
+
+
+def test_full_packs_begin_as_the_full_packs_of_the_file_did(slow: list[ObservedRecord]) -> None:
+    assert problem_of(slow, with_start(0.97), PACK).evidence.start_soc == pytest.approx(0.97)
+    assert problem_of(slow, with_start(None), PACK).evidence.start_soc == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("started", "told"), [(0.96, 0.96), (0.995, None), (0.6, None)])
+def test_a_fit_tells_the_start_of_packs_that_charge_to_less_than_full(
+    slow: list[ObservedRecord], started: float, told: float | None
+) -> None:
+    stack = observed.stack(slow)
+    fit = solve.fit_battery(stack, ("polarisation",), has_bench=True)
+    trajectory = solve.replay_fit(stack, fit)
+    trajectory = trajectory._replace(soc=trajectory.soc - trajectory.soc[0] + started)
+    found = wander.learn(stack, trajectory, list(range(len(slow))), CELLS).start_soc
+    assert found == (None if told is None else pytest.approx(told))
