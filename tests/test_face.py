@@ -102,6 +102,8 @@ def test_a_prompt_completes_the_public_names_alone() -> None:
         ({"pack": "P1"}, "packs="),
         ({"forecast_period_s": -1.0}, "forecast_period_s=-1"),
         ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
+        ({"forecast_period_s": float("inf")}, "forecast_period_s=inf"),
+        ({"capacity_Ah": True}, "capacity_Ah=True"),
     ],
 )
 def test_an_argument_that_cannot_be_is_named(short_log: Path, given: dict[str, object], named: str) -> None:
@@ -165,6 +167,26 @@ def test_an_estimator_names_them_too() -> None:
 def test_an_argument_of_another_type_is_named(wrong: dict[str, object], words: str, short_log: Path) -> None:
     with pytest.raises(uavbatt.UsageError, match=words):
         uavbatt.replay(**{"log": short_log, **wrong})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (None, "sample=None: expected a Sample"),
+        ((0.0, 16.0, 1.0), "expected a Sample"),
+        (uavbatt.Sample(0.0, "16"), "sample.voltage_V='16': expected a number"),  # type: ignore[arg-type]
+        (uavbatt.Sample(0.0, 16.0, None), "sample.current_A=None: expected a number"),  # type: ignore[arg-type]
+    ],
+    ids=str,
+)
+def test_a_sample_that_is_none_is_named_and_changes_nothing(wrong: uavbatt.Sample, words: str) -> None:
+    estimator = uavbatt.Estimator.from_battery("lpab-3s", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    for hand_in in (estimator.step, lambda sample: list(estimator.run([sample]))):
+        with pytest.raises(uavbatt.UsageError, match=words):
+            hand_in(wrong)
+    assert repr(estimator) == "<Estimator on lpab-3s: no sample yet>"
+    estimator.step(uavbatt.Sample(0.0, 16.4, 10.0))
+    assert repr(estimator).startswith("<Estimator on lpab-3s: 4S from ")
 
 
 def test_a_log_that_is_no_path_is_named() -> None:

@@ -6,11 +6,9 @@
     estimate, remaining = estimator.step(sample)                # one row, in flight
     for estimate, remaining in estimator.run(samples): ...      # many rows, of a log
 
-`run` works in windows: the filter goes over all rows of a window, then the forecasts of some rows are simulated side by
-side. No result depends on a later row, and `step` is a window of one row.
-
-What the caller does not say of the pack (cells, capacity, cut-off) comes from the vehicle's own parameters
-(`update_facts`), then from the voltage and the battery file; where each came from stays readable in `pack_size`.
+`run` works in windows: the filter goes over all rows, then forecasts are simulated side by side. `step` is a window of
+one row; no result depends on a later row. What the caller does not say of the pack comes from the vehicle's parameters
+(`update_facts`), then from voltage and battery file; `pack_size` says where each number came from.
 """
 
 from __future__ import annotations
@@ -33,6 +31,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
+from uavbatt.estimation.checked import checked_samples
 from uavbatt.estimation.filter import NO_VOLTAGE, SocFilter, estimate_of, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -80,11 +79,9 @@ class PackState(NamedTuple):
 class Estimator:
     """An estimator turns the samples of one battery into state of charge and remaining time.
 
-    battery : the battery file.
-    options : the size of the pack (cells, capacity [Ah], cut-off [V]) as far as the caller states it.
-    settings : load to come, reserve and period of the forecasts.
-    engine : the functions by which `run` works many rows at once; `step` always updates by filterpy.
-    remembered : the health of the pack by earlier flights, from the pack ledger; `remembered_next`, of a pack after it.
+    options : the size of the pack (cells, capacity [Ah], cut-off [V]) as far as the caller states it; settings : load
+    to come, reserve and period of the forecasts; engine : the functions by which `run` works many rows at once (`step`
+    always updates by filterpy); remembered : the pack's health by the ledger; `remembered_next`, of a pack after it.
     """
 
     def __init__(
@@ -104,6 +101,9 @@ class Estimator:
         self._cleaner, self._engine = Cleaner(stated_power_W=power_W), engine
         self._known = before_any_row(battery, self.options, stated_power(load))
         self._in_flight = flight_window()
+
+    def __repr__(self) -> str:
+        return f"<Estimator on {self.battery.battery.name}: {getattr(self.pack_size, 'words', 'no sample yet')}>"
 
     @classmethod
     def from_battery(
@@ -210,7 +210,7 @@ class Estimator:
         self, samples: list[Sample], navigations: list[Navigation], filter_window: Window
     ) -> Iterator[Pending]:
         """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
-        cleaners, clean = self._cleaned(samples)
+        cleaners, clean = self._cleaned(checked_samples(samples))
         rows, since = (self._state.filter.run(clean, filter_window) if self._state is not None else []), 0
         taken = zip(samples, cleaners, clean, navigations, strict=True)
         for k, (raw, self._cleaner, sample, navigation) in enumerate(taken):

@@ -209,38 +209,40 @@ def check_stated(
     """
     if cells is not None and not 1 <= _whole(names.cells, cells) <= MOST_CELLS:
         raise UsageError(f"{names.cells}{cells}: expected 1 to {MOST_CELLS}")
-    doubt = capacity_doubt(_number(names.capacity, capacity_Ah))
+    doubt = capacity_doubt(checked_number(names.capacity, capacity_Ah))
     if doubt is not None:
         raise UsageError(f"{names.capacity}{doubt.words}")
     lowest_V, highest_V = ENDING_CELL_V
     for name, volts in ((names.cutoff, cutoff_V), (names.low, low_V)):
         if cells is not None:
-            doubt = ending_doubt(name, _number(name, volts), cells)
+            doubt = ending_doubt(name, checked_number(name, volts), cells)
             if doubt is not None and doubt.is_certain:
                 raise UsageError(doubt.words)
-        elif not math.isnan(_number(name, volts)) and not lowest_V <= volts <= highest_V * MOST_CELLS:
+        elif not math.isnan(checked_number(name, volts)) and not lowest_V <= volts <= highest_V * MOST_CELLS:
             slip = " (millivolts?)" if volts > highest_V * MOST_CELLS else ""
             raise UsageError(f"{name}{volts:g} V: expected {lowest_V:g} to {highest_V:g} V for each cell{slip}")
     _check_between(names.ambient, ambient_C, *AMBIENT_C, unit=" °C")
-    if math.isnan(_number(names.reserve, reserve_soc)):
+    if math.isnan(checked_number(names.reserve, reserve_soc)):
         raise UsageError(f"{names.reserve}{reserve_soc}: expected 0 to {HIGHEST_RESERVE:g}")
     _check_between(names.reserve, reserve_soc, 0.0, HIGHEST_RESERVE)
 
 
 def _check_between(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if not math.isnan(_number(name, value)) and not low <= value <= high:
+    if not math.isnan(checked_number(name, value)) and not low <= value <= high:
         raise UsageError(f"{name}{value:g}: expected {low:g} to {high:g}{unit}")
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, SupportsIndex):
+    if isinstance(value, SupportsIndex) and not isinstance(value, bool):
         with suppress(TypeError):  # an array of several
             return operator.index(value)
     raise UsageError(f"{name}{value!r}: expected a whole number from 1 to {MOST_CELLS}, or None")
 
 
-def _number(name: str, value: object) -> float:
-    if isinstance(value, SupportsFloat):  # a text is no number, even if it looks like one
+def checked_number(name: str, value: object) -> float:
+    """Return a value as a float. Raises UsageError, which begins with `name`, if it is no number."""
+    # A text is no number, even if it looks like one; neither is True.
+    if isinstance(value, SupportsFloat) and not isinstance(value, bool):
         with suppress(TypeError, ValueError):  # an array of several
             return float(value)
     raise UsageError(f"{name}{value!r}: expected a number, or NaN where it is not known")

@@ -142,7 +142,7 @@ def replay(
         capacity_Ah: capacity of the pack [Ah].
         cutoff_V: voltage of the pack that ends the flight [V].
         reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
-        instance: battery of the log; by default the first that reports a current.
+        instance: battery of the log, from 0; by default the one that carries the flight.
         vehicle: vehicle file by path, or its content: how this aircraft flew before.
         load: `learned`, `recent`, `log`, or the power to come [W].
         mission: the planned mission, a `.waypoints` or `.plan` file; it replaces the one in the log.
@@ -231,7 +231,7 @@ def _period_s(flight: Flight, stated_s: object) -> float:
     """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
     if stated_s is None:
         return recorded_period_s(flight)
-    if isinstance(stated_s, int | float) and stated_s >= 0.0:
+    if isinstance(stated_s, int | float) and not isinstance(stated_s, bool) and 0.0 <= stated_s < math.inf:
         return float(stated_s)
     raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
 
