@@ -102,7 +102,6 @@ def test_a_prompt_completes_the_public_names_alone() -> None:
         ({"pack": "P1"}, "packs="),
         ({"forecast_period_s": -1.0}, "forecast_period_s=-1"),
         ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
-        ({"forecast_period_s": float("inf")}, "forecast_period_s=inf"),
         ({"capacity_Ah": True}, "capacity_Ah=True"),
     ],
 )

@@ -231,7 +231,7 @@ def _period_s(flight: Flight, stated_s: object) -> float:
     """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
     if stated_s is None:
         return recorded_period_s(flight)
-    if isinstance(stated_s, int | float) and not isinstance(stated_s, bool) and 0.0 <= stated_s < math.inf:
+    if isinstance(stated_s, int | float) and stated_s >= 0.0:
         return float(stated_s)
     raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
 

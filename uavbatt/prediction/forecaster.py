@@ -65,7 +65,7 @@ class ForecastSettings:
 
     def __post_init__(self) -> None:
         check_stated(reserve_soc=self.reserve_soc)
-        if not 0.0 <= self.forecast_period_s < math.inf:
+        if not self.forecast_period_s >= 0.0:
             raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
