@@ -166,7 +166,8 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
-    remarks = (("logs", f"{logs}; {flown} of them read in this run, the others in an earlier one"),)
+    earlier = f"; {flown} of them read in this run, the others in an earlier one" if flown < logs else ""
+    remarks = (("logs", f"{logs}{earlier}"),)
     write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} replayed, {failed} failed")

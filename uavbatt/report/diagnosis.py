@@ -218,7 +218,8 @@ def _panel(
         axes.set_ylim(-limit, limit)
 
     alt = f"{title}: measured minus modelled against time, {len(records)} records"
-    return figure(plot.panel(draw, alt, x="time (min)", y=unit), title)
+    names = [*(["floor"] if floor is not None else []), *(Path(r.name).stem for r in records[: len(COLOURS)])]
+    return figure(plot.panel(draw, alt, x="time (min)", y=unit, height=plot.height_under(names)), title)
 
 
 def _changes(diagnosis: Diagnosis, lines: Sequence[str]) -> list[Html]:

@@ -185,7 +185,7 @@ def _look(overview: Overview) -> list[Html]:
     parts = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
     parts.append(table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)))
     if more > 0:
-        words = f"The {len(overview.look)} that ask for it most; {more} more in flights.csv, column `look`."
+        words = f"Those that need it most; {more} more in flights.csv, column `look`."
         parts.append(paragraph(words, css="quiet"))
     return parts
 

@@ -173,6 +173,12 @@ def _columns(names: Sequence[str], most: int, room: float) -> int:
     return 1
 
 
+def height_under(names: Sequence[str], legend_columns: int = 3) -> float:
+    """Return the height of a panel whose legend has these names: more than two rows of them make it taller."""
+    rows = -(-len(names) // _columns(names, legend_columns, WIDTH - LEFT))
+    return HEIGHT + max(rows - 2, 0) * LEGEND_ROW
+
+
 def responsive(
     draw: Callable[[Axes], None], alt: str, *, x: str, y: str, right: float = RIGHT, unit_s: float = 0.0
 ) -> Html:
