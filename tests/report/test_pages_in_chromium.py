@@ -8,6 +8,7 @@ stands in `page_audit.js`; one Chromium serves all tests.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from route_rig import planned, to
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass, Interval
 from uavbatt.diagnosis.close import ClosedLoop, HeldOutErrors
@@ -171,6 +173,19 @@ def test_the_live_page_shuts_nobody_out(browser: Browser, state: str) -> None:
     serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
     for width in (390, 1280):
         assert complaints(browser, f"http://127.0.0.1:{port}/", width) == {"light": [], "dark": []}
+
+
+@pytest.mark.parametrize(("capacity_Ah", "shown"), [(5.0, ("Cell voltage", 4.0)), (math.nan, ("Pack voltage", 16.0))])
+def test_a_voltage_is_called_that_of_a_cell_only_if_the_cells_are_known(
+    browser: Browser, capacity_Ah: float, shown: tuple[str, float]
+) -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(PackOptions(capacity_Ah=capacity_Ah)), free_port()
+    bench.play([Sample(k / 2, 16.0, 12.0, 25.0, 0.0, armed=True) for k in range(30)])
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+    browser.open(f"http://127.0.0.1:{port}/", 390, "light")
+    label, value = (browser.evaluate(f"document.querySelector('[data-k={k}]').textContent") for k in ("volts", "cell"))
+    assert (label, float(value.split()[0])) == shown
 
 
 def test_the_cursor_moves_in_all_drawings_and_says_what_was_known_there(
