@@ -153,7 +153,7 @@ def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     moments = (known.means, known.covariances, known.log_weights)
     at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *moments)
     numbers = as_numbers(pack())
-    return lambda: run(numbers, state.air, state.since_load_s, table, *at)
+    return lambda: run(numbers, state.air, state.load, table, *at)
 
 
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
