@@ -261,7 +261,7 @@ class Estimator:
         assert self._known.size is not None
         pack = self._pack(self._known.size)
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
-        return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
+        return PackState(soc_filter, Forecaster(pack, self.settings, self.remembered), self._cleaner.guessed)
 
     def _forecast_for(
         self, state: PackState, swap: SwapWatch, sample: Sample, row: FilteredRow, navigation: Navigation

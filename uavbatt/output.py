@@ -51,6 +51,7 @@ ROUTE_COLUMNS: Mapping[str, int | None] = {
     "turn_back_lo_s": 1,
     "turn_back_hi_s": 1,
     "route_reason": None,
+    "turn_back_alarm_s": 1,
 }
 """The keys that a line has in addition where a route or home is known."""
 

@@ -227,25 +227,21 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Route holds the part of a forecast about the route, the way home and the turn-back.
+    """Route holds what a forecast says of route, way home and turn-back; NaN is unknown.
 
-    Times are seconds from now, charges 0 to 1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown.
+    Times are seconds from now, charges 0 to 1 at touchdown: the median; lo and hi are the 5 % and 95 % points.
 
     Attributes:
         load: the load to come that was used: `route`, `learned`, `unknown`, `recent`, `log` or `stated`.
         left_s: until touchdown at the route's end.
-        soc: charge at that touchdown, median.
-        soc_lo: 5 % point.
-        soc_hi: 95 % point.
+        soc, soc_lo, soc_hi: charge at that touchdown.
         risk: probability that the end of flight comes before that touchdown.
-        home_soc: charge at touchdown if the aircraft turned back now, median.
-        home_soc_lo: 5 % point.
-        turn_back_s: until the latest instant to turn back, median; 0 is now.
-        turn_back_lo_s: 5 % point.
-        turn_back_hi_s: 95 % point.
+        home_soc, home_soc_lo: charge at touchdown if the aircraft turned back now.
+        turn_back_s, turn_back_lo_s, turn_back_hi_s: until the latest instant to turn back; 0 is now.
+        turn_back_alarm_s, turn_back_risk: until "turn back now" is said, and the risk of being too late then.
         reason: why the route was not used, or why there is no turn-back.
         is_returning: the aircraft flies home or lands already.
-        assumed: what the mission does not say and the forecast assumes, in words.
+        assumed: what the forecast assumes of the mission, in words.
     """
 
     load: str
@@ -259,19 +255,22 @@ class Route:
     turn_back_s: float = NAN
     turn_back_lo_s: float = NAN
     turn_back_hi_s: float = NAN
+    turn_back_alarm_s: float = NAN
+    turn_back_risk: float = IN_TIME
     reason: str = ""
     is_returning: bool = False
     assumed: str = ""
 
     def later(self, age_s: float) -> Route:
         """Return the same as it stands `age_s` [s] later."""
-        times_s = {key: getattr(self, key) for key in ("left_s", "turn_back_s", "turn_back_lo_s", "turn_back_hi_s")}
+        turns = ("turn_back_s", "turn_back_lo_s", "turn_back_hi_s", "turn_back_alarm_s")
+        times_s = {key: getattr(self, key) for key in ("left_s", *turns)}
         return replace(self, **{key: max(at_s - age_s, 0.0) for key, at_s in times_s.items() if math.isfinite(at_s)})
 
     @property
     def must_turn_back_now(self) -> bool:
-        """Return True if turning back later may be too late, at a risk of 5 %; False where that is not known."""
-        return self.turn_back_lo_s <= 0.0
+        """Return True if turning back later may be too late, at `turn_back_risk`; False where that is not known."""
+        return self.turn_back_alarm_s <= 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ class RouteFit:
     @property
     def no_way_home(self) -> str:
         """Return a warning if no turn, however early, leads home with 95 % on this battery; empty otherwise."""
-        is_hopeless = self.route.must_turn_back_now
+        is_hopeless = self.route.turn_back_lo_s <= 0.0
         return "However early it turns, it is not home with 95 %: do not take off" if is_hopeless else ""
 
 

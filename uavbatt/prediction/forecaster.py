@@ -15,6 +15,7 @@ import numpy as np
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_voltage
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
@@ -83,10 +84,13 @@ class ForecasterMemory(NamedTuple):
 
 
 class Forecaster:
-    """A forecaster turns estimates into remaining time; one instance follows one flight."""
+    """A forecaster turns estimates into remaining time; one instance follows one flight.
 
-    def __init__(self, pack: Pack, settings: ForecastSettings | None = None) -> None:
-        self.pack = pack
+    known : the health of the pack by earlier flights; None if nothing is remembered of it
+    """
+
+    def __init__(self, pack: Pack, settings: ForecastSettings | None = None, known: PackHealth | None = None) -> None:
+        self.pack, self.turn_risk = pack, route_forecast.turn_risk(pack, known)
         self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
         self._flight = FlightSoFar()
@@ -239,7 +243,7 @@ class Forecaster:
             fresh = question.at_take_off.joined(time_s, fresh)
         ends_s = self._last.steadied(fresh.end_s, time_s) if self._last is not None else fresh.end_s
         lo_s, alarm_s, median_s, hi_s = (quantile(ends_s, level) for level in LEVELS)
-        route = question.route and route_forecast.route_answer(question.route, ends.end_s)
+        route = question.route and route_forecast.route_answer(question.route, ends.end_s, self.turn_risk)
         if route is None and question.ways.about and self._last is not None and self._last.route is not None:
             route = self._last.route.later(time_s - self._last.time_s)
         low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN

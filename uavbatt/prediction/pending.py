@@ -25,9 +25,7 @@ ALARM = Notice(
 ENDS_SOON = Notice(  # used if no time is known
     "the measured voltage falls to the cut-off within about two minutes", Kind.ENDS_SOON
 )
-TURN_BACK = Notice(
-    "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %", Kind.TURN_BACK
-)
+TURN_BACK = "turn back now: later the way home may be longer than the charge lasts"
 MAY_NOT_LAND = Notice(  # instead of it, once the aircraft flies home or lands
     "the flight may end before touchdown, at a risk of 5 % or more", Kind.MAY_NOT_LAND
 )
@@ -65,7 +63,8 @@ def _of_route(route: Route) -> tuple[Notice, ...]:
     """Return the warning of a route that may end too early, if there is one."""
     if route.is_returning:
         return (MAY_NOT_LAND,) if route.risk > IN_TIME else ()
-    return (TURN_BACK,) if route.must_turn_back_now else ()
+    words = f"{TURN_BACK}, at a risk of {100.0 * route.turn_back_risk:g} %"
+    return (Notice(words, Kind.TURN_BACK),) if route.must_turn_back_now else ()
 
 
 def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
