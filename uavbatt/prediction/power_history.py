@@ -70,17 +70,16 @@ class PowerHistory(NamedTuple):
 
         It is relative to the mean, 1 where the flight has shown nothing yet.
         """
-        at_s, drawn_J = self._energy_until()
-        if not drawn_J[-1] > 0.0:
+        if not sum(self.pieces_W) > 0.0:
             return np.ones((edges_s.size - 1, count))
-        turns, within_s = np.divmod(edges_s[:, None] + self.length_s * _begins(count), self.length_s)
-        passed_J = turns * drawn_J[-1] + np.interp(within_s, at_s, drawn_J)
-        mean_W = drawn_J[-1] / self.length_s
-        return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
+        begins_s = self.length_s * _begins(count)[:, None]
+        at_s, drawn_J = self._energy_until(times=2 + int(edges_s[-1] / self.length_s))
+        passed_J = np.interp(edges_s + begins_s, at_s, drawn_J)  # by flight: ascending times are looked up fast
+        return np.asarray(np.diff(passed_J) / (np.mean(self.pieces_W) * np.diff(edges_s))).T
 
-    def _energy_until(self) -> tuple[Array, Array]:
-        """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
-        drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+    def _energy_until(self, times: int = 1) -> tuple[Array, Array]:
+        """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each, of so many flights."""
+        drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(np.tile(self.pieces_W, times))])
         return self.piece_s * np.arange(float(drawn_J.size)), drawn_J
 
     @property
