@@ -69,17 +69,43 @@ class Innovations(NamedTuple):
         return Innovations(mean, self.high_since_s if math.isfinite(self.high_since_s) else time_s, time_s)
 
 
+class PackVerdict(NamedTuple):
+    """PackVerdict holds the doubts, remarks and refusal about the pack itself, by the belief after the last block."""
+
+    doubts: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    refusal: str = ""
+    is_settled: bool = False  # the capacity of a pack that differs from the statement has become known well enough
+
+    def after(self, estimate: Estimate, belief: Belief, pack: Pack) -> PackVerdict:
+        """Return the verdict after one more block, its estimate and the belief that it led to."""
+        capacity, capacity_sd = estimate.capacity_scale, estimate.capacity_scale_sd
+        least, most = capacity - SURE_SDS * capacity_sd, capacity + SURE_SDS * capacity_sd
+        least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
+        is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # more than wear can explain
+        is_known = self.is_settled or capacity_sd < SETTLED_SHARE * capacity
+        off_sds = discrepancy_sds(belief, pack)
+        reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
+        is_off = abs(off_sds) > FAR_SDS or abs(reaction_V) > FAR_REACTION_V
+        is_lost = off_sds < -LOST_SDS  # too much voltage for the charge is harmless
+        doubted = {FAR_OFF: is_off, SMALL: is_small, LARGE: least > FAR_LARGER, MANY_OHMS: is_ohmic}
+        refused = {FAR_OFF: is_lost, SMALL: is_small and not is_known, MANY_OHMS: is_ohmic and not is_known}
+        return PackVerdict(
+            doubts=tuple(compress(doubted, doubted.values())),
+            remarks=(SMALL,) if FAR_SMALLER <= most < SMALL_PACK else (),
+            refusal=next(compress(refused, refused.values()), ""),
+            is_settled=(is_small or is_ohmic) and is_known,
+        )
+
+
 class Monitor(NamedTuple):
-    """Monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
+    """Monitor holds the readings seen so far, and the doubts and refusal that follow from them and from the belief."""
 
     readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
-    off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
-    reaction_V: float = 0.0  # drop of this pack's reaction beyond that of its type
-    is_settled: bool = False  # the capacity of a pack that differs from the statement has become known well enough
+    pack: PackVerdict = PackVerdict()
     doubts: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
     refusal: str = ""
 
     def after(self, sample: Sample, estimate: Estimate, belief: Belief | None, pack: Pack) -> Monitor:
@@ -88,60 +114,31 @@ class Monitor(NamedTuple):
         if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.readings.time_s:
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        seen = self._replace(
-            readings=self.readings.after(time_s, volts, amps, cells),
-            load=self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah),
-        )
-        if math.isfinite(estimate.nis):  # these change only when a block is closed
-            seen = seen._replace(
-                innovations=self.innovations.after(time_s, estimate.nis),
-                off_sds=discrepancy_sds(belief, pack),
-                reaction_V=float(belief.weights @ belief.means[:, X.REACTION]),
-            )
-        return seen._concluded(estimate, cells, capacity_Ah)
-
-    def _concluded(self, estimate: Estimate, cells: float, capacity_Ah: float) -> Monitor:
-        """Return the monitor with the doubts, remarks and refusal that follow from what it has seen.
-
-        cells : in series; capacity_Ah : the present capacity of the pack [Ah].
-        """
-        time_s = self.readings.time_s
-        stuck_voltage_s = self.readings.stuck_voltage_s(cells, capacity_Ah)
-        stuck_current_s = self.readings.stuck_current_s(capacity_Ah)
-        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # upper limit of its capacity
-        least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # lower limit of its resistance
-        least = estimate.capacity_scale - SURE_SDS * estimate.capacity_scale_sd
-        is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # more than wear can explain
-        is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
-        is_settled = (is_small or is_ohmic) and is_known
-        is_far = abs(self.off_sds) > FAR_SDS or abs(self.reaction_V) > FAR_REACTION_V
+        readings = self.readings.after(time_s, volts, amps, cells)
+        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        innovations, verdict = self.innovations, self.pack
+        if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
+            innovations = innovations.after(time_s, estimate.nis)
+            verdict = verdict.after(estimate, belief, pack)
+        voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
+        current_s = readings.stuck_current_s(capacity_Ah)
         doubted = {
-            STUCK_VOLTAGE: stuck_voltage_s >= STUCK_S,
-            STUCK_CURRENT: stuck_current_s >= STUCK_S,
-            UNFITTING: time_s - self.innovations.high_since_s >= NIS_AFTER_S,
-            FAR_OFF: is_far,
-            SMALL: is_small,
-            LARGE: least > FAR_LARGER,
-            MANY_OHMS: is_ohmic,
+            STUCK_VOLTAGE: voltage_s >= STUCK_S,
+            STUCK_CURRENT: current_s >= STUCK_S,
+            UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
         }
         refused = {
-            STUCK_VOLTAGE: stuck_voltage_s >= REFUSED_STUCK_S,
-            STUCK_CURRENT: stuck_current_s >= REFUSED_STUCK_S,
-            DEAD_CURRENT: time_s - self.load.gone_since_s >= DEAD_S,
-            FAR_OFF: self.off_sds < -LOST_SDS,  # too much voltage for the charge is harmless
-            SMALL: is_small and not is_settled,
-            MANY_OHMS: is_ohmic and not is_settled,
+            STUCK_VOLTAGE: voltage_s >= REFUSED_STUCK_S,
+            STUCK_CURRENT: current_s >= REFUSED_STUCK_S,
+            DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
         }
-        return self._replace(
-            is_settled=is_settled,
-            doubts=tuple(compress(doubted, doubted.values())),
-            remarks=(SMALL,) if FAR_SMALLER <= most < SMALL_PACK else (),
-            refusal=next(compress(refused, refused.values()), ""),
-        )
+        doubts = (*compress(doubted, doubted.values()), *verdict.doubts)
+        refusal = next(compress(refused, refused.values()), verdict.refusal)
+        return Monitor(readings, load, innovations, verdict, doubts, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""
-        if not (self.refusal or self.doubts or self.remarks):
+        if not (self.refusal or self.doubts or self.pack.remarks):
             return estimate
         status, reason = estimate.status, estimate.reason
         if self.refusal and status is not Status.REFUSED:
@@ -149,7 +146,7 @@ class Monitor(NamedTuple):
         elif self.doubts and status is Status.OK:
             status, reason = Status.CONVERGING, self.doubts[0]
         refusals = (self.refusal,) if self.refusal and self.refusal not in self.doubts else ()
-        warnings = (*estimate.warnings, *refusals, *self.doubts, *self.remarks)
+        warnings = (*estimate.warnings, *refusals, *self.doubts, *self.pack.remarks)
         return replace(estimate, status=status, reason=reason, warnings=warnings)
 
 
