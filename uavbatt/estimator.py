@@ -219,7 +219,7 @@ class Estimator:
                 continue
             self._know(self._known.after(raw, sample))
             state = self._state
-            if state is None or self._cleaner.guessed != state.is_guessed:
+            if state is None or self._cleaner.current.is_guessed != state.is_guessed:
                 refused = self._refused_start(sample)
                 if refused is not None:
                     yield Pending(sample, refused, None, refused.reason)
@@ -239,7 +239,7 @@ class Estimator:
         """Return the cleaner after each sample, and the samples after cleaning."""
         cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed.
-        assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
+        assumed_W = NAN if size is None or cleaner.current.is_metered else typical_power_W(size.cells, size.capacity_Ah)
         capacity_Ah, cells = (size.capacity_Ah, size.cells) if size is not None else (math.inf, 0)
         cleaners, clean = [], []
         for sample in samples:
@@ -261,7 +261,7 @@ class Estimator:
         assert self._known.size is not None
         pack = self._pack(self._known.size)
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
-        return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
+        return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.current.is_guessed)
 
     def _forecast_for(
         self, state: PackState, swap: SwapWatch, sample: Sample, row: FilteredRow, navigation: Navigation
@@ -273,24 +273,24 @@ class Estimator:
         found = monitor.judged(found)
         if self._known.refusal:
             found = replace(found, status=Status.REFUSED, reason=self._known.refusal)
-        if self._cleaner.guessed:
+        if self._cleaner.current.is_guessed:
             found = unmetered_estimate(found)
-        forecaster.cell_spread_V = self._cleaner.cell_spread_V
+        forecaster.cell_spread_V = self._cleaner.cells.spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
-        bound = state.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
+        bound = state.bound.after(sample, belief, pack, self._cleaner.cells.spread_V)
         self._state = PackState(state.filter, forecaster, state.is_guessed, swap, monitor, bound)
         return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:
         pack = sized(self.battery, size)
-        if self._cleaner.guessed:
+        if self._cleaner.current.is_guessed:
             pack = unmetered_pack(pack, is_stated=math.isfinite(self._cleaner.stated_power_W))
         pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
     def _warnings(self, pack: Pack, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
         """Return the warnings that a reader of the number must see, each once."""
-        size, is_metered = self._known.size, not self._cleaner.guessed
+        size, is_metered = self._known.size, not self._cleaner.current.is_guessed
         assert size is not None
         found = remarks(self.battery, size, sample, known, pack, is_metered=is_metered)
         if is_metered and self.remembered is not None:

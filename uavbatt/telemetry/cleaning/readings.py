@@ -1,0 +1,131 @@
+"""What the cleaning remembers of each sensor, one value a sensor, with the rule that says if its next reading is used.
+
+`after` takes the next reading in: it returns the value after it, and the reading to use, NaN if none may be used.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from uavbatt.limits import HIGHEST_C_RATE
+from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.cleaning.plausibility import plausible_temperature_C
+
+HELD_CURRENT_S = 5.0
+LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
+LEVEL_TAU_S = 2.0
+ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; the best packs show three times it
+ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
+LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
+LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
+CELL_SPREAD_TAU_S = 30.0
+
+
+class VoltageSeen(NamedTuple):
+    """VoltageSeen holds the last voltage that was used, its time, and its level over the last seconds."""
+
+    used_V: float = NAN
+    used_s: float = NAN
+    level_V: float = NAN
+    odd_V: float = NAN  # last voltage, if it leapt: used if the next row repeats it
+
+    def after(self, time_s: float, voltage_V: float, connected_V: float) -> tuple[VoltageSeen, float]:
+        """Take a voltage in. A sudden change is used from its second row on, as one row may be a damaged frame.
+
+        connected_V : below it the meter of a pack that has shown more is not connected [V].
+        """
+        if not math.isfinite(voltage_V):
+            return self, voltage_V
+        if voltage_V <= 0.0 or voltage_V < connected_V <= self.used_V:
+            return self, NAN
+        dt_s = time_s - self.used_s
+        is_soon, is_repeated = dt_s <= LEAP_WITHIN_S, abs(voltage_V - self.odd_V) <= LEAP_SHARE * self.odd_V
+        if is_soon and not is_repeated and not abs(voltage_V - self.used_V) <= LEAP_SHARE * self.used_V:
+            return self._replace(odd_V=voltage_V), NAN
+        keep = math.exp(-max(dt_s, 0.0) / LEVEL_TAU_S) if is_soon else 0.0
+        level_V = voltage_V + keep * (self.level_V - voltage_V) if keep else voltage_V
+        return VoltageSeen(voltage_V, time_s, level_V), voltage_V
+
+
+class TemperatureSeen(NamedTuple):
+    """TemperatureSeen holds the last plausible temperature [°C], its time [s], and if it is that of a board."""
+
+    temp_C: float = NAN
+    temp_s: float = NAN
+    is_board: bool = False
+
+    def after(self, time_s: float, temp_C: float, hottest_start_C: float) -> tuple[TemperatureSeen, float]:
+        """Take a temperature in; `hottest_start_C` is the highest first one of a sensor in the pack [°C]."""
+        temp_C = plausible_temperature_C(temp_C, self.temp_C, time_s - self.temp_s)
+        if not math.isfinite(temp_C):
+            return self, NAN
+        is_board = self.is_board or (not math.isfinite(self.temp_C) and temp_C > hottest_start_C)
+        return TemperatureSeen(temp_C, time_s, is_board), NAN if is_board else temp_C
+
+
+class CurrentSeen(NamedTuple):
+    """CurrentSeen holds the last current that was used, its time, and the voltage with it."""
+
+    used_A: float = NAN
+    used_s: float = NAN
+    used_V: float = NAN
+    leapt_s: float = NAN  # time of a leap that the voltage has not shown yet
+    first_s: float = NAN  # time of the first row without a current
+    is_metered: bool = False  # a current was read
+    is_guessed: bool = False  # the current is worked out from a power
+
+    def after(self, sample: Sample, level_V: float, capacity_Ah: float) -> tuple[CurrentSeen, float]:
+        """Take the current of a row in; returns it as read, or the last one for a while if it is missing or leaps.
+
+        sample : with the voltage that is used; level_V : the voltage over the last seconds [V]; capacity_Ah : of the
+        pack [Ah].
+        """
+        time_s, read_A = sample.time_s, sample.current_A
+        if not abs(read_A) <= HIGHEST_C_RATE * capacity_Ah:  # not read, or of no pack of this size
+            if time_s - self.used_s <= HELD_CURRENT_S:
+                return self, self.used_A
+            return self._replace(is_metered=self.is_metered or math.isfinite(read_A)), NAN
+        leap_C = (read_A - self.used_A) / capacity_Ah
+        is_leap = abs(leap_C) > LEAP_C and time_s - self.used_s <= LEAP_WITHIN_S and math.isfinite(self.used_V)
+        if is_leap and not _is_answered(leap_C, sample.voltage_V, (self.used_V, level_V)):
+            since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
+            if time_s - since_s < ANSWER_WITHIN_S:
+                return self._replace(leapt_s=since_s), self.used_A
+        return CurrentSeen(read_A, time_s, sample.voltage_V, is_metered=True), read_A
+
+    def worked_out(self, sample: Sample, stated_W: float, assumed_W: float) -> tuple[CurrentSeen, float]:
+        """Return the current of a row without a sensor from a power [W]: at once from a stated one, later an assumed
+        one.
+        """
+        first_s, is_stated = self.first_s if math.isfinite(self.first_s) else sample.time_s, math.isfinite(stated_W)
+        power_W = stated_W if is_stated else assumed_W
+        is_absent = is_stated or sample.time_s - first_s >= ABSENT_S
+        if not (is_absent and math.isfinite(power_W) and sample.voltage_V > 0.0):
+            return self._replace(first_s=first_s), NAN
+        current_A = 0.0 if sample.armed is False else power_W / sample.voltage_V
+        return self._replace(first_s=first_s, is_guessed=True), current_A
+
+
+def _is_answered(leap_C: float, voltage_V: float, before_V: tuple[float, float]) -> bool:
+    """Return True if the voltage has moved against one of two voltages before as a leap of the current [C] moves it."""
+    moved = [(1.0 - voltage_V / volts) * math.copysign(1.0, leap_C) for volts in before_V]
+    return any(share >= ANSWER_SHARE * abs(leap_C) for share in moved)
+
+
+class CellsSeen(NamedTuple):
+    """CellsSeen holds how far the weakest cell is below the mean [V], smoothed, and the time of the last row [s]."""
+
+    spread_V: float = 0.0
+    spread_s: float = NAN
+
+    def after(self, time_s: float, cell_voltages_V: tuple[float, ...]) -> CellsSeen:
+        """Return the value after a row with the voltages of the cells [V]."""
+        cells = [v for v in cell_voltages_V if math.isfinite(v) and v > 0.0]
+        if len(cells) < 2 or not all(LOWEST_READING_V < v < HIGHEST_READING_V for v in cells):
+            return self
+        spread_V = sum(cells) / len(cells) - min(cells)
+        if not math.isfinite(self.spread_s):
+            return CellsSeen(spread_V, time_s)
+        keep = math.exp(-max(time_s - self.spread_s, 0.0) / CELL_SPREAD_TAU_S)
+        return CellsSeen(keep * self.spread_V + (1.0 - keep) * spread_V, time_s)
