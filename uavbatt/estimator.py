@@ -191,7 +191,7 @@ class Estimator:
         navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size.
         """
         (pending,) = self._pending([sample], [navigation], self._in_flight)
-        return pending.finish(end_times(pending.question) if pending.question is not None else None)
+        return pending.finish(end_times(pending.question.flying) if pending.question is not None else None)
 
     def run(
         self, samples: Iterable[Sample], navigation_at: Callable[[float], Navigation] | None = None

@@ -210,10 +210,10 @@ def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
     random, steps = np.random.default_rng(7), int(asked.horizon_s)
     x = random.multivariate_normal(belief.mean, belief.covariance, draws).T
     x[X.SOC] = np.clip(x[X.SOC], 0.0, 1.02)
-    mean_W = float(np.median(asked.power_W))
+    mean_W = float(np.median(asked.flying.power_W))
     power_W = np.broadcast_to(mean_W * np.exp(LOAD_SPREAD * random.standard_normal(draws)), (steps, draws))
     bias = random.standard_normal((steps, draws))
-    found = time_to_end(asked.pack, x, power_W, asked.ambient_C, np.ones(steps), wander=Normals(bias, bias))
+    found = time_to_end(asked.flying._replace(x=x, power_W=power_W, dt_s=np.ones(steps)), Normals(bias, bias))
     return np.minimum(found.end_s, asked.horizon_s)
 
 

@@ -67,7 +67,7 @@ def instants(case: Case) -> Iterator[Instant]:
 def _instant(
     before_s: float, true_s: float, question: Question, logged: LoggedLoad, soc: float, log_capacity: float
 ) -> Instant:
-    x = question.x
+    x = question.flying.x
     told = x[X.SOC] * np.exp(x[X.LOG_CAPACITY])
     points_s = {name: np.quantile(ends, LEVELS) for name, ends in _variants(question, logged, soc, log_capacity)}
     charge = soc * math.exp(log_capacity)
@@ -84,26 +84,27 @@ def _variants(q: Question, logged: LoggedLoad, soc: float, log_capacity: float) 
     now = FlightPoint(
         q.time_s, since_take_off_s=0.0, soc=soc, flight_W=0.0, recent=RecentLoad()
     )  # a log asks for the time alone
-    one_W = logged.scenarios(now, float(q.dt_s[0]), q.dt_s.size).power_W
-    known = q._replace(power_W=np.broadcast_to(one_W, q.power_W.shape))
+    flying, dt_s = q.flying, q.flying.dt_s
+    one_W = logged.scenarios(now, float(dt_s[0]), dt_s.size).power_W
+    known = q._replace(flying=flying._replace(power_W=np.broadcast_to(one_W, flying.power_W.shape)))
     yield "power known", _ends(known)
     yield "power and charge known", _ends(_with(known, {X.SOC: soc}))
     yield "power and capacity known", _ends(_with(known, {X.LOG_CAPACITY: log_capacity}))
     both = _with(known, {X.SOC: soc, X.LOG_CAPACITY: log_capacity})
     yield "power, charge and capacity known", _ends(both)
-    still = time_to_end(both.pack, both.x, both.power_W, both.ambient_C, both.dt_s).end_s
+    still = time_to_end(both.flying._replace(reserve_soc=0.0, by_rows=False)).end_s
     yield "power, charge and capacity known, no drift ahead", np.minimum(still, both.horizon_s)
 
 
 def _with(q: Question, truth: dict[X, float]) -> Question:
-    x = q.x.copy()
+    x = q.flying.x.copy()
     for component, value in truth.items():
         x[component] = value
-    return q._replace(x=x)
+    return q._replace(flying=q.flying._replace(x=x))
 
 
 def _ends(q: Question) -> FloatArray:
-    return np.minimum(end_times(q).end_s, q.horizon_s)
+    return np.minimum(end_times(q.flying).end_s, q.horizon_s)
 
 
 def table(title: str, found: Sequence[Instant]) -> Table:

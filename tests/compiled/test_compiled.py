@@ -158,7 +158,7 @@ def asked(samples: tuple[Sample, ...], reserve_soc: float = 0.0) -> Iterator[Que
 
 def assert_same_ends(found: list[Question]) -> None:
     for question, beside in zip(found, questions.answers(found), strict=True):
-        alone, (twin,) = questions.end_times(question), compiled.engine().answers([question])
+        alone, (twin,) = questions.end_times(question.flying), compiled.engine().answers([question])
         for plain, side_by_side, quick in zip(alone, beside, twin, strict=True):
             np.testing.assert_array_equal(side_by_side, plain)
             np.testing.assert_allclose(quick, plain, rtol=CLOSE, atol=CLOSE)
@@ -174,7 +174,7 @@ def test_the_forecasts_of_a_simulated_flight(reserve_soc: float) -> None:
 
 def test_forecasts_by_slow_rows() -> None:
     found = list(asked(flown()[::120]))
-    assert any(question.by_rows for question in found)
+    assert any(question.flying.by_rows for question in found)
     assert_same_ends(found)
 
 
@@ -186,21 +186,19 @@ def first_question() -> Question:
 def test_the_slow_rows_of_a_long_log() -> None:
     """Three hours of rows 6 s apart are more steps than there are normals: these come again."""
     rows = 1800
-    long = first_question()._replace(
-        power_W=np.full((rows, first_question().x.shape[1]), 30.0),
-        dt_s=np.full(rows, 6.0),
-        by_rows=True,
-        reserve_soc=0.02,
-    )
-    assert_same_ends([long])
+    first = first_question().flying
+    power_W, dt_s = np.full((rows, first.x.shape[1]), 30.0), np.full(rows, 6.0)
+    long = first._replace(power_W=power_W, dt_s=dt_s, by_rows=True, reserve_soc=0.02)
+    assert_same_ends([first_question()._replace(flying=long)])
     assert np.median(questions.end_times(long).end_s) > 1024 * 6.0
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_forecast_under_every_effect(name: str) -> None:
     question = first_question()
-    pack = affected(name)._replace(cutoff_V=question.pack.cutoff_V, low_V=question.pack.low_V)
-    assert_same_ends([question._replace(pack=pack)])
+    flying = question.flying
+    pack = affected(name)._replace(cutoff_V=flying.pack.cutoff_V, low_V=flying.pack.low_V)
+    assert_same_ends([question._replace(flying=flying._replace(pack=pack))])
 
 
 # --- a whole replay ----------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, LoggedLoad
-from uavbatt.prediction.time_to_end import time_to_end
+from uavbatt.prediction.time_to_end import Flying, time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
@@ -127,7 +127,8 @@ def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> N
     """The forecast's own steps against steps of half a second."""
     now = belief(0.95, temp_C, exact=True)
     found, steps = forecast(pack()._replace(bias_sd_V=1e-9), now, power_W), 12000
-    fine = time_to_end(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
+    flying = Flying(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
+    fine = time_to_end(flying)
     assert found.median_s == pytest.approx(float(fine.end_s[0]), rel=0.003)
 
 

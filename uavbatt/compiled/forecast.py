@@ -15,72 +15,42 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
-from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes, counted
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes, Flying, Normals, counted
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
-    """Simulate the forecasts of a window, as `prediction.batch.answers` does; returns the end of each sample."""
-    return [compiled_end_times(question) for question in questions]
+    """Simulate the forecasts of a window, as `prediction.batch.answers` does; returns the end of each draw."""
+    return [compiled_end_times(question.flying) for question in questions]
 
 
-def compiled_end_times(q: Question) -> EndTimes:
-    """Simulate one forecast; returns the end of each of its samples."""
-    drawn = sampling.wander(q.dt_s.size, q.by_rows)
-    ends = time_to_end(
-        as_numbers(q.pack),
-        np.ascontiguousarray(q.x),
-        np.ascontiguousarray(q.power_W),
-        float(q.ambient_C),
-        np.ascontiguousarray(q.dt_s),
-        float(q.reserve_soc),
-        drawn.bias,
-        drawn.row,
-        q.by_rows,
-    )
-    return counted(EndTimes(*ends))
+def compiled_end_times(flying: Flying) -> EndTimes:
+    """Simulate one forecast; returns the end of each of its draws."""
+    drawn = sampling.wander(flying.dt_s.size, flying.by_rows)
+    return counted(EndTimes(*time_to_end(as_numbers(flying), drawn)))
 
 
 @compiled
-def time_to_end(
-    pack: Pack,
-    x: Array,
-    power_W: Array,
-    ambient_C: float,
-    dt_s: Array,
-    reserve_soc: float,
-    bias: Array,
-    row: Array,
-    by_rows: bool,
-) -> tuple[Array, Array]:
-    """Return the end of flight and the low-voltage warning [s] of each column; inf beyond the horizon."""
-    batch = x.shape[1]
-    end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(pack, dt_s)
+def time_to_end(flying: Flying, wander: Normals) -> tuple[Array, Array]:
+    """Return the end of flight and the low-voltage warning [s] of each draw; inf beyond the horizon."""
+    batch = flying.x.shape[1]
+    end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(flying.pack, flying.dt_s)
     for j in range(batch):
-        end_s[j], low_s[j] = time_to_end_one(
-            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, gained_V2, bias[:, j], row[:, j], by_rows
-        )
+        end_s[j], low_s[j] = time_to_end_one(flying, wander, gained_V2, j)
     return end_s, low_s
 
 
 @compiled
-def time_to_end_one(
-    pack: Pack,
-    x: Array,
-    power_W: Array,
-    ambient_C: float,
-    dt_s: Array,
-    reserve_soc: float,
-    gained_V2: Array,
-    bias: Array,
-    row: Array,
-    by_rows: bool,
-) -> tuple[float, float]:
-    """Return the end of flight and the low-voltage warning [s] of one column; inf beyond the horizon."""
+def time_to_end_one(flying: Flying, wander: Normals, gained_V2: Array, j: int) -> tuple[float, float]:
+    """Return the end of flight and the low-voltage warning [s] of draw `j`; inf beyond the horizon.
+
+    gained_V2 : the variance [V²] that the discrepancy gains in each step.
+    """
+    pack, x, power_W, dt_s = flying.pack, flying.x[:, j], flying.power_W[:, j], flying.dt_s
+    reserve_soc, by_rows = flying.reserve_soc, flying.by_rows
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
@@ -95,7 +65,7 @@ def time_to_end_one(
         cell_V += weak_lag(installation, cell, state, rate, strong_V)
         volts = metered_voltage(installation, cells * cell_V)
         if by_rows and k > 0:
-            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * row[k]
+            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
         before = rate
         margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
         if reserve_soc > 0.0:
@@ -112,8 +82,8 @@ def time_to_end_one(
         if dt_s[k] != lags_s:
             lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
         doubt_V2 = b.ocv_doubt(pack, state.soc, under.c_rate * (dt_s[k] / SECONDS_PER_HOUR))
-        state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], lags)
-        bias_V += np.sqrt(gained_V2[k] + doubt_V2) * bias[k]
+        state = model.step_cell(cell, state, under, r_ohmAh, flying.ambient_C, dt_s[k], lags)
+        bias_V += np.sqrt(gained_V2[k] + doubt_V2) * wander.bias[k, j]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)
 

@@ -24,14 +24,15 @@ from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, TakeOff, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
-from uavbatt.prediction.batch import Question, end_times
+from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
 from uavbatt.prediction.route_ahead import Ahead
-from uavbatt.prediction.route_forecast import Flying, ToCome
+from uavbatt.prediction.route_forecast import ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
+from uavbatt.prediction.time_to_end import Flying
 from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown
@@ -159,15 +160,16 @@ def _fit(
     scenario = sampling.assigned(scenarios.weight)
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     reserve = max(reserve_soc, EMPTY_SOC)
-    question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
-    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario, reserve)
+    flying = Flying(pack, x, power_W, ambient_C, dt_s, reserve)
     elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
     known = ToCome(load, "route", "", ahead, elsewhere)
-    end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
+    end_s = np.minimum(end_times(flying, enough=1.0).end_s, dt_s.sum())
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, way, planned.settings, turns_by_s)
+    asked = route_forecast.fly_ways(
+        known, None if elsewhere else home, flying, scenario, way, planned.settings, turns_by_s
+    )
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)

@@ -13,30 +13,20 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
 from uavbatt.prediction.route_forecast import RouteQuestion, WaysState
 from uavbatt.prediction.take_off import AtTakeOff
-from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Normals, counted, time_to_end
+from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Flying, Normals, counted, time_to_end
 
 SIDE_BY_SIDE = 16  # more questions do not fit into the cache
 
 
 class Question(NamedTuple):
-    """Question holds one forecast to simulate: samples of the belief under their powers (`time_to_end.time_to_end`).
-
-    Shapes: x [9, draws], power_W [steps, draws], dt_s [steps].
-    """
+    """Question holds one forecast to simulate: the flying packs, from `time_s` [s] on, up to the horizon."""
 
     time_s: float
     horizon_s: float
-    pack: Pack  # its limits are those of its weakest cell
-    x: Array
-    power_W: Array
-    ambient_C: float
-    dt_s: Array
-    reserve_soc: float
-    by_rows: bool
+    flying: Flying
     unresolved_s: float = 0.0  # length of a step within which the power may change
     at_take_off: AtTakeOff | None = None  # the expectation at take-off
     route: RouteQuestion | None = None  # the part about the route and the way home
@@ -46,34 +36,33 @@ class Question(NamedTuple):
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
-def end_times(q: Question, enough: float = COUNTED) -> EndTimes:
-    """Simulate one forecast and return when each sample ends [s]; `enough` is that of `time_to_end.counted`."""
-    drawn = sampling.wander(q.dt_s.size, q.by_rows)
-    ends = time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows, enough=enough)
-    return counted(ends, enough)
+def end_times(flying: Flying, enough: float = COUNTED) -> EndTimes:
+    """Simulate one forecast and return when each draw ends [s]; `enough` is that of `time_to_end.counted`."""
+    return counted(time_to_end(flying, sampling.wander(flying.dt_s.size, flying.by_rows), enough=enough), enough)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
     """Simulate many forecasts of one pack side by side and return the ends of each, as `end_times` gives them."""
     found: list[EndTimes] = []
-    for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
+    every = (question.flying for question in questions)
+    for _, alike in groupby(every, key=lambda flying: (flying.by_rows, flying.reserve_soc)):
         queue = list(alike)
         for first in range(0, len(queue), SIDE_BY_SIDE):
             found += _together(queue[first : first + SIDE_BY_SIDE])
     return found
 
 
-def _together(few: list[Question]) -> list[EndTimes]:
-    """Simulate several questions in one batch [questions, draws].
+def _together(few: list[Flying]) -> list[EndTimes]:
+    """Simulate several forecasts in one batch [forecasts, draws].
 
-    A shorter question is padded with its last step, which has no effect.
+    A shorter one is padded with its last step, which has no effect.
     """
     if len(few) == 1:  # in flight: one dimension less
         return [end_times(few[0])]
     steps = max(q.dt_s.size for q in few)
 
     def on(values: Iterable[Array]) -> Array:
-        """Return [steps, questions, ...]: shorter questions go on with their last step."""
+        """Return [steps, forecasts, ...]: shorter ones go on with their last step."""
         every = list(values)
         out = np.empty((steps, len(every), *every[0].shape[1:]))
         for n, value in enumerate(every):
@@ -84,16 +73,13 @@ def _together(few: list[Question]) -> list[EndTimes]:
         return np.array([*values])[:, None]
 
     drawn = sampling.wander(steps, few[0].by_rows)
-    ends = time_to_end(
-        few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
-        np.stack([q.x for q in few], axis=1),
-        on(q.power_W for q in few),
-        each(q.ambient_C for q in few),
-        on(q.dt_s for q in few)[:, :, None],
-        few[0].reserve_soc,
-        Normals(drawn.bias[:, None], drawn.row[:, None]),
-        few[0].by_rows,
-        each(q.dt_s.size for q in few),
-        COUNTED,
+    together = few[0]._replace(
+        pack=few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
+        x=np.stack([q.x for q in few], axis=1),
+        power_W=on(q.power_W for q in few),
+        ambient_C=each(q.ambient_C for q in few),
+        dt_s=on(q.dt_s for q in few)[:, :, None],
     )
+    beside = Normals(drawn.bias[:, None], drawn.row[:, None])
+    ends = time_to_end(together, beside, each(q.dt_s.size for q in few), COUNTED)
     return [EndTimes(*pair) for pair in zip(*counted(ends), strict=True)]

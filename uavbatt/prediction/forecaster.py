@@ -29,10 +29,10 @@ from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import LOWEST_POWER_W, SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
-from uavbatt.prediction.route_forecast import Flying, ToCome, WaysState
+from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
-from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.time_to_end import EndTimes, Flying
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
@@ -117,7 +117,7 @@ class Forecaster:
     ) -> Remaining:
         """Return the remaining time after `sample`; refused on the ground and while the estimate is refused."""
         refusal, question = self.update(sample, estimate, belief, navigation)
-        return self.finish(sample, estimate, refusal, question and (question, end_times(question)))
+        return self.finish(sample, estimate, refusal, question and (question, end_times(question.flying)))
 
     def update(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
@@ -174,9 +174,7 @@ class Forecaster:
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)
-        question = Question(
-            time_s=time_s,
-            horizon_s=horizon_s,
+        flying = Flying(
             pack=self.pack.at_weakest_cell(self.cell_spread_V),
             x=sampling.samples(belief),
             power_W=scenarios.power_W[:, scenario],
@@ -184,6 +182,11 @@ class Forecaster:
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
+        )
+        question = Question(
+            time_s=time_s,
+            horizon_s=horizon_s,
+            flying=flying,
             unresolved_s=0.0 if by_rows or isinstance(load, ConstantLoad) else dt_s,
             at_take_off=self._at_take_off and self._at_take_off.at_power(time_s, now.flight_W),
         )
@@ -199,9 +202,9 @@ class Forecaster:
         ways = route_forecast.ways_state(known, navigation, asked.time_s)
         if not self._ways.is_due(ways, typical_s):
             return asked._replace(ways=self._ways)
-        flying = Flying(asked.pack, asked.x, asked.power_W, asked.ambient_C, asked.dt_s, scenario, asked.reserve_soc)
         home = route_forecast.homewards(self.settings.load, self._progress, navigation, asked.time_s)
-        route = route_forecast.fly_ways(known, home, flying, way_of(self._progress), navigation.settings, typical_s)
+        way, settings = way_of(self._progress), navigation.settings
+        route = route_forecast.fly_ways(known, home, asked.flying, scenario, way, settings, typical_s)
         return asked._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
@@ -223,13 +226,13 @@ class Forecaster:
         if question is None:
             return None
         power_W = on_ground.settings.load.typical_W(self._now(belief, take_off_s, NOWHERE))
-        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question, enough=1.0))
+        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question.flying, enough=1.0))
         return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """Simulate and return a fresh forecast; None when no end is in sight."""
         question = self.question(belief, time_s)
-        return None if question is None else self._forecast(question, end_times(question))
+        return None if question is None else self._forecast(question, end_times(question.flying))
 
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
         """Return the quantiles of the simulated ends."""

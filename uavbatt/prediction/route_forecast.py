@@ -10,7 +10,6 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
-from uavbatt.battery.scaling import Pack
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
@@ -20,6 +19,7 @@ from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.time_to_end import Flying
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import IN_TIME, Route
 
@@ -107,31 +107,22 @@ def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysStat
     return WaysState(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
 
 
-class Flying(NamedTuple):
-    """Flying holds a forecast's simulated flights: draws of the belief, power [steps, draws], scenario of each draw.
-
-    reserve_soc : the charge at which they end, too
-    """
-
-    pack: Pack
-    x: Array
-    power_W: Array
-    ambient_C: float
-    dt_s: Array
-    scenario: Array
-    reserve_soc: float = 0.0
-
-
 def fly_ways(
-    known: ToCome, home: RouteLoad | None, flying: Flying, way: LegTiming, settings: ReturnSettings, typical_s: float
+    known: ToCome,
+    home: RouteLoad | None,
+    flying: Flying,
+    scenario: Array,
+    way: LegTiming,
+    settings: ReturnSettings,
+    typical_s: float,
 ) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
-    here; None if it is not known.
+    here; None if it is not known. `scenario` is which scenario of the load each draw flies [draws].
     """
     asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning)
-    scenario = flying.scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
+    scenario = scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
         stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]

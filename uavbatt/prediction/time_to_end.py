@@ -46,6 +46,25 @@ class EndTimes(NamedTuple):
     low_s: Array
 
 
+class Flying(NamedTuple):
+    """Flying holds the packs of a forecast, drawn from a belief, and the power that each will fly.
+
+    pack : with the limits of its weakest cell; x : the draws [9, draws]; power_W : true power [W], [steps, draws];
+    ambient_C : temperature of the air [°C]; dt_s : lengths of the steps [s], [steps]; reserve_soc : a charge below it
+    ends the flight; by_rows : the steps are the telemetry's rows, between which the power goes straight, and the median
+    of three of them judges. Several forecasts fly side by side with a batch of two dimensions, over which `dt_s`,
+    `ambient_C` and the pack's limits broadcast.
+    """
+
+    pack: Pack
+    x: Array
+    power_W: Array
+    ambient_C: Number
+    dt_s: Array
+    reserve_soc: float = 0.0
+    by_rows: bool = False
+
+
 class Normals(NamedTuple):
     """Normals holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
 
@@ -54,35 +73,25 @@ class Normals(NamedTuple):
 
 
 def time_to_end(
-    pack: Pack,
-    x: Array,
-    power_W: Array,
-    ambient_C: Number,
-    dt_s: Array,
-    reserve_soc: float = 0.0,
-    wander: Normals | None = None,
-    by_rows: bool = False,
-    own_steps: Number = np.inf,
-    enough: float = 1.0,
+    flying: Flying, wander: Normals | None = None, own_steps: Number = np.inf, enough: float = 1.0
 ) -> EndTimes:
-    """Return the ends of belief columns x [9, batch] under true power `power_W` [steps, batch] in steps `dt_s` [steps].
+    """Return when each draw's flight ends: metered voltage below the pack's cut-off or charge below the reserve.
 
-    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
-    are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
-    the discrepancy stays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
-    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon. It is
-    over when a share `enough` of each forecast's columns has ended; the others are inf.
+    wander : without it the discrepancy stays and rows are exact; own_steps : steps after which each forecast's horizon
+    ends. The simulation is over when a share `enough` of each forecast's draws has ended; the others are inf.
     """
-    cell, installation, state = unpack(pack, x)
+    pack, power_W, dt_s, by_rows = flying.pack, flying.power_W, flying.dt_s, flying.by_rows
+    cell, installation, state = unpack(pack, flying.x)
     cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
     steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
     gained_V2 = bias_variance(pack, dt_s)
     fast, slow, core, unread = model.cell_lags(cell, dt_s)
-    limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, float(np.min(own_steps)), by_rows)
-    recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
-    ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
-    tables, asked, bias_V, before = curve_tables(pack), power_W / size, x[X.BIAS], None
+    batch = flying.x.shape[1:]
+    limits = _Limits(flying, _times(dt_s, len(batch)), own_steps, float(np.min(own_steps)))
+    recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *batch)))
+    ends = EndTimes(*np.full((2, *batch), np.inf))
+    tables, asked, bias_V, before = curve_tables(pack), power_W / size, flying.x[X.BIAS], None
     for k in range(steps):
         charged_V, new_ohmAh, drift_sd_V = looked_up(tables, state.soc)
         emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
@@ -106,7 +115,7 @@ def time_to_end(
             mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
             under = model.under_power(cell, emf_V, series_ohmAh, mean_WpAh)
         over = model.Lags(fast[k, ...], slow[k, ...], core[k, ...], unread)
-        state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], over)
+        state = model.step_cell(cell, state, under, r_ohmAh, flying.ambient_C, dt_s[k], over)
         if wander is not None:
             doubt_V2 = drift_variance(drift_sd_V, under.c_rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
             bias_V = bias_V + np.sqrt(gained_V2[k, ...] + doubt_V2) * wander.bias[k]
@@ -134,12 +143,10 @@ class _Recent(NamedTuple):
 class _Limits(NamedTuple):
     """_Limits holds the limits by which steps are judged; `at_s` are the times of all steps."""
 
-    pack: Pack
-    reserve_soc: float
+    flying: Flying
     at_s: Array
     own_steps: Number
     fewest_steps: float
-    by_rows: bool
 
 
 def _times(dt_s: Array, dimensions: int) -> Array:
@@ -150,16 +157,16 @@ def _times(dt_s: Array, dimensions: int) -> Array:
 
 def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTimes:
     """Return the ends that are known after step `k`; the last steps are kept for the next ones."""
-    pack, installation = limits.pack, limits.pack.installation
+    pack, reserve_soc, installation = limits.flying.pack, limits.flying.reserve_soc, limits.flying.pack.installation
     new = k % JUDGED_AT_ONCE + 1
     known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
     part, steps = slice(JUDGED_BEFORE - known, JUDGED_BEFORE + new), slice(k + 1 - new - known, k + 1)
     volts = metered_voltage(installation, installation.cells * recent.cell_V[part])
-    if limits.by_rows:
+    if limits.flying.by_rows:
         volts += recent.noise_V[part]
     margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
-    if limits.reserve_soc > 0.0:
-        margin_V = np.minimum(margin_V, (recent.soc[part] - limits.reserve_soc) * SOC_IN_VOLTS)
+    if reserve_soc > 0.0:
+        margin_V = np.minimum(margin_V, (recent.soc[part] - reserve_soc) * SOC_IN_VOLTS)
     if k >= limits.fewest_steps:
         within = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < limits.own_steps
         margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)
@@ -173,7 +180,7 @@ def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Ar
     is_new = ((margin < 0.0) & (known_s == np.inf)).any(axis=0)
     if not is_new.any():
         return known_s
-    judge = _median_crossing if limits.by_rows else _mean_crossing
+    judge = _median_crossing if limits.flying.by_rows else _mean_crossing
     at_s, crossed_s = np.broadcast_to(limits.at_s[steps], margin.shape), known_s.copy()
     crossed_s[is_new] = judge(margin[:, is_new], at_s[:, is_new])
     return crossed_s
