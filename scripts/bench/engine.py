@@ -143,17 +143,13 @@ def bank() -> SocFilter:
 
 def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     """Return a call of the twin alone: columns in, as a reader gives them, columns out."""
-    from uavbatt.compiled.filter import most_beliefs, run
+    from uavbatt.compiled.filter import begun, run
     from uavbatt.compiled.jit import as_numbers
     from uavbatt.estimation.recursion import start
 
     state, _ = start(pack(), samples[0], float("nan"), members)
-    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples[1:]]).T.copy()
-    most, known = most_beliefs(table[0], state.time_s), state.belief
-    moments = (known.means, known.covariances, known.log_weights)
-    at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *moments)
-    numbers = as_numbers(pack())
-    return lambda: run(numbers, state.air, state.since_load_s, table, *at)
+    numbers, given = as_numbers(pack()), begun(state, samples[1:])
+    return lambda: run(numbers, *given)
 
 
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:

@@ -7,9 +7,10 @@ update in `member`) stands a second time, as loops over rows and members instead
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery import state_space as b
 from uavbatt.battery.model import Array
@@ -27,10 +28,37 @@ from uavbatt.records import Sample
 share(recursion)
 
 
-def most_beliefs(times_s: Array, at_s: float) -> int:
-    """Return the largest number of beliefs that rows at these times [s] lead to, from a filter at `at_s` [s]."""
-    known_s = np.append(times_s[np.isfinite(times_s)], at_s)
-    return min(times_s.size, int(np.ptp(known_s) / BLOCK_S)) + 4
+class Moments(NamedTuple):
+    """Moments holds the arrays of a belief, which are changed in place: means, covariances, ln of the weights."""
+
+    x: Array
+    P: Array
+    log_weight: Array
+
+
+class Standing(NamedTuple):
+    """Standing holds the rest of a filter's state (`FilterState`); the open block is an array, changed in place."""
+
+    time_s: float
+    current_A: float
+    block_A: float
+    block: Array
+    air: noise.Air
+    since_load_s: float
+
+
+class Filtered(NamedTuple):
+    """Filtered holds what rows lead to: the beliefs (the given one first), and the state after the last row.
+
+    moments : of the beliefs [beliefs, members, ...]; ambient_C : of each belief; in_force : the belief after each row;
+    shown : what each row shows [rows, 4], as `Innovation` has it.
+    """
+
+    moments: Moments
+    ambient_C: Array
+    in_force: NDArray[np.int64]
+    shown: Array
+    standing: Standing
 
 
 def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[FilteredRow], FilterState]:
@@ -40,74 +68,92 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
     """
     if not samples:
         return [], state
-    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
-    most = most_beliefs(table[0], state.time_s)
-    new, in_force, shown, (time_s, current_A, block_A, block, air, since_load_s) = run(
-        as_numbers(pack),
-        state.air,
-        state.since_load_s,
-        table,
-        most,
-        state.time_s,
-        state.current_A,
-        state.block_A,
-        np.array(state.block, dtype=float),
-        state.belief.means,
-        state.belief.covariances,
-        state.belief.log_weights,
-    )
-    beliefs = [state.belief, *(Belief(*one) for one in list(zip(*new, strict=True))[1:])]
+    found = run(as_numbers(pack), *begun(state, samples))
+    beliefs = [
+        state.belief,
+        *(Belief(*one) for one in list(zip(*found.moments, found.ambient_C.tolist(), strict=True))[1:]),
+    ]
     known = [state.summary, *(summary(belief, pack.empty_soc_sd) for belief in beliefs[1:])]
     rows = [
         FilteredRow(beliefs[k], known[k], Innovation(*row))
-        for k, row in zip(in_force.tolist(), shown.tolist(), strict=True)
+        for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
     ]
-    open_block, air = Block(*block.tolist()), noise.Air(*air)
-    return rows, FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, since_load_s)
+    time_s, current_A, block_A, block, air, since_load_s = found.standing
+    open_block = Block(*block.tolist())
+    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, noise.Air(*air), since_load_s)
+    return rows, now
+
+
+def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Standing, Array, int]:
+    """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
+    belief, block = state.belief, np.array(state.block, dtype=float)
+    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.since_load_s)
+    rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
+    moments = Moments(belief.means, belief.covariances, belief.log_weights)
+    return moments, as_numbers(standing), rows, most_beliefs(rows[0], state.time_s)
+
+
+def most_beliefs(times_s: Array, at_s: float) -> int:
+    """Return the largest number of beliefs that rows at these times [s] lead to, from a filter at `at_s` [s]."""
+    known_s = np.append(times_s[np.isfinite(times_s)], at_s)
+    return min(times_s.size, int(np.ptp(known_s) / BLOCK_S)) + 4
 
 
 @compiled
-def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: Array, log_weight: Array) -> None:
-    """Copy the moments of all members; an assignment of arrays would take numba six seconds to compile."""
-    for k in range(log_weight.size):
-        log_weights[k] = log_weight[k]
+def keep(moments: Moments, k: int, now: Moments) -> None:
+    """Copy the moments of belief `k`; an assignment of arrays would take numba six seconds to compile."""
+    for member in range(now.log_weight.size):
+        moments.log_weight[k, member] = now.log_weight[member]
         for i in range(SIZE):
-            means[k, i] = x[k, i]
+            moments.x[k, member, i] = now.x[member, i]
             for j in range(SIZE):
-                covariances[k, i, j] = P[k, i, j]
+                moments.P[k, member, i, j] = now.P[member, i, j]
 
 
 @compiled
-def close(
-    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air, since_load_s: float
-) -> tuple[Array, float, float, float, float, noise.Air, float]:
-    """Take a block in, as `recursion._close` does: it changes every member in place.
+def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, Innovation]:
+    """Take the open block in, as `recursion._close` does: it changes every member in place and empties the block.
 
-    Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
-    current, the air after it, and for how long the pack has rested since its last load [s].
+    Returns the moments with their new weights, the state after it, and the block against the model.
     """
+    block, weight, members, air = at.block, np.exp(now.log_weight), now.log_weight.size, at.air
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
-    weight, members = np.exp(log_weight), log_weight.size
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
-    since_load_s = noise.since_load_after(since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
+    since_load_s = noise.since_load_after(at.since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
     is_settling = noise.is_settling(since_load_s)
     for k in range(members):
         if is_settling:
-            settle(pack, x[k], P[k], dt_s)
-        predict(pack, x[k], P[k], block[2] / dt_s, air.ambient_C, dt_s)
+            settle(pack, now.x[k], now.P[k], dt_s)
+        predict(pack, now.x[k], now.P[k], block[2] / dt_s, air.ambient_C, dt_s)
         innovation_V[k], variance_V2[k], nis, volts, off_K = update(
-            pack, x[k], P[k], block[3] / block[0], mean_A, mean_C, mean_A - block_A
+            pack, now.x[k], now.P[k], block[3] / block[0], mean_A, mean_C, mean_A - at.block_A
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
         expected_V, warmer_K = expected_V + weight[k] * volts, warmer_K + weight[k] * off_K
     for i in range(block.size):
         block[i] = 0.0
+    log_weight = now.log_weight
     if not is_settling:
         log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
-    return log_weight, shown_V, shown_nis, expected_V, mean_A, air, since_load_s
+    soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
+    after = Standing(at.time_s, at.current_A, mean_A, block, air, since_load_s)
+    return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)
+
+
+@compiled
+def add_row(block: Array, voltage_V: float, current_A: float, temp_C: float, dt_s: float, before_A: float) -> None:
+    """Add a row to the open block, `dt_s` [s] after a row of `before_A` [A], as `Block.after` does."""
+    block[0] += 1.0
+    block[1] += dt_s
+    block[2] += 0.5 * (before_A + current_A) * dt_s
+    block[3] += voltage_V
+    block[4] += current_A
+    if np.isfinite(temp_C):
+        block[5] += temp_C
+        block[6] += 1.0
 
 
 @compiled
@@ -134,71 +180,59 @@ def show_within(
 
 
 @compiled
-def run(
-    pack: Pack,
-    air: noise.Air,
-    since_load_s: float,
-    rows: Array,
-    most: int,
-    at_s: float,
-    before_A: float,
-    block_A: float,
-    block: Array,
-    x: Array,
-    P: Array,
-    log_weight: Array,
-) -> tuple[Any, ...]:
-    """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
+def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Filtered:
+    """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter, which is left as it is.
 
-    most : the largest number of beliefs that the rows can give, the given one included. Returns the beliefs (means [m,
-    members, 9], covariances, ln of the weights and ambient temperatures [m], the given one first), which of them is in
-    force after each row, what each row shows [n, 4] as `Innovation` has it, and the state after the last row: its time
-    [s], currents of the last row and block [A], the open block, the air, the time since the last load [s].
+    most : the largest number of beliefs that the rows can give, the given one included.
     """
     n, last = rows.shape[1], 0
-    means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
-    log_weights = np.empty((most, log_weight.size))
-    in_force, ambients_C, shown = np.zeros(n, np.int64), np.full(most, air.ambient_C), np.full((n, 4), np.nan)
+    now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
+    block, time_s, before_A = at.block.copy(), at.time_s, at.current_A
+    at = Standing(time_s, before_A, at.block_A, block, at.air, at.since_load_s)
+    kept = Moments(
+        np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
+    )
+    keep(kept, 0, now)
+    in_force, ambient_C, shown = np.zeros(n, np.int64), np.full(most, at.air.ambient_C), np.full((n, 4), np.nan)
     drawn_As, true_A = np.full(n, np.nan), np.full(n, np.nan)
-    x, P, block = x.copy(), P.copy(), block.copy()
-    put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
-        time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
         in_force[k] = last
-        dt_s = time_s - at_s
+        dt_s, voltage_V, metered_A = rows[0, k] - time_s, rows[1, k], rows[2, k]
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
-        current_A = true_current(pack.installation, metered_A, voltage_V)
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
-            log_weight, _, _, _, block_A, air, since_load_s = close(
-                pack, x, P, log_weight, block, block_A, air, since_load_s
-            )
-        block[0] += 1.0
-        block[1] += dt_s
-        block[2] += 0.5 * (before_A + current_A) * dt_s
-        block[3] += voltage_V
-        block[4] += current_A
-        if np.isfinite(temp_C):
-            block[5] += temp_C
-            block[6] += 1.0
-        at_s, before_A = time_s, current_A
+            now, at, _ = close(pack, now, at)
+        current_A = true_current(pack.installation, metered_A, voltage_V)
+        add_row(block, voltage_V, current_A, rows[3, k], dt_s, before_A)
+        time_s, before_A = rows[0, k], current_A
         if block[1] < BLOCK_S:
             drawn_As[k], true_A[k] = block[2], current_A
             continue
-        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, since_load_s = close(
-            pack, x, P, log_weight, block, block_A, air, since_load_s
-        )
-        shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
+        now, at, (shown[k, 0], shown[k, 1], shown[k, 2], shown[k, 3]) = close(pack, now, at)
         last += 1
-        put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
-        in_force[k], ambients_C[last] = last, air.ambient_C
+        keep(kept, last, now)
+        in_force[k], ambient_C[last] = last, at.air.ambient_C
+    show_blocks(pack, kept, in_force, drawn_As, true_A, rows[1], shown)
+    first = Moments(kept.x[: last + 1], kept.P[: last + 1], kept.log_weight[: last + 1])
+    at = Standing(time_s, before_A, at.block_A, block, at.air, at.since_load_s)
+    return Filtered(first, ambient_C[: last + 1], in_force, shown, at)
+
+
+@compiled
+def show_blocks(
+    pack: Pack,
+    kept: Moments,
+    in_force: NDArray[np.int64],
+    drawn_As: Array,
+    current_A: Array,
+    voltage_V: Array,
+    shown: Array,
+) -> None:
+    """Write the rows within blocks against the model into `shown`, those of one belief at a time (`show_within`)."""
     begin = 0
-    for end in np.append(np.flatnonzero(np.diff(in_force)) + 1, n):
-        at = in_force[begin]
+    for end in np.append(np.flatnonzero(np.diff(in_force)) + 1, in_force.size):
+        at, rows = in_force[begin], slice(begin, end)
         show_within(
-            pack, means[at], log_weights[at], drawn_As[begin:end], true_A[begin:end], rows[1, begin:end],
-            shown[begin:end],
-        )  # fmt: skip
+            pack, kept.x[at], kept.log_weight[at], drawn_As[rows], current_A[rows], voltage_V[rows], shown[rows]
+        )
         begin = end
-    beliefs = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1], ambients_C[: last + 1])
-    return beliefs, in_force, shown, (at_s, before_A, block_A, block, air, since_load_s)

@@ -122,17 +122,23 @@ def update(
                 R[i, j] += S[i, j] * (nis / GATE - 1.0)
                 S[i, j] *= nis / GATE
     joseph(x, P, PHt, S, H, R, y)
-    excess = x[X.SOC] - 1.0
-    if excess > 0.0:
-        full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
-        full[0, X.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
-        PHt, S = projected(P, full)
-        S[0, 0] += sure[0, 0]
-        joseph(x, P, PHt, S, full, sure, short)
+    at_most_full(x, P)
     for i in range(SIZE):
         for j in range(i):
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
     return y[0], variance_V2, nis, expected_V, y[1] if size == 2 else np.nan
+
+
+@compiled
+def at_most_full(x: Array, P: Array) -> None:
+    """Constrain the charge of one member to 1, in place, by a pseudo-measurement, as `recursion._at_most_full`."""
+    if x[X.SOC] <= 1.0:
+        return
+    full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
+    full[0, X.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, 1.0 - x[X.SOC]
+    PHt, S = projected(P, full)
+    S[0, 0] += sure[0, 0]
+    joseph(x, P, PHt, S, full, sure, short)
 
 
 @compiled
