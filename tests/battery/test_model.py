@@ -282,11 +282,7 @@ def test_effects_reach_the_model() -> None:
     """Each quantity of each effect is a field of the record that it acts on, neutral where the record's default is."""
     from uavbatt.battery.effects import CELL_EFFECTS, INSTALLATION_EFFECTS
 
-    cell_defaults: dict[str, Any] = Parameters._field_defaults
-    for effect in CELL_EFFECTS:
-        assert all(q.name in cell_defaults for q in effect.quantities), effect.name
-    for effect in INSTALLATION_EFFECTS:
-        for q in effect.quantities:
-            assert Installation._field_defaults[q.name] == q.neutral, q.name
+    defaults: dict[str, Any] = {**Parameters._field_defaults, **Installation._field_defaults}
     for effect in CELL_EFFECTS + INSTALLATION_EFFECTS:
+        assert all(defaults[q.name] == q.neutral for q in effect.quantities), effect.name
         assert all(q.low <= q.prior <= q.high and q.low <= q.neutral <= q.high for q in effect.quantities), effect.name

@@ -166,14 +166,35 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
 
 
 def _check_values(file: BatteryFile, origin: str) -> None:
-    """Raise BadInput unless the arrays are finite, ascending, of one length and fit each other."""
+    """Raise BadInput unless the numbers are finite and possible, and the arrays ascend and fit each other."""
     for place, number in _numbers(msgspec.to_builtins(file)):
         if not math.isfinite(number):
             raise BadInput(origin, place, f"a finite number, found {number}")
-    table = file.parameters
+    _check_tables(file.parameters, origin)
+    for name in ("cutoff_V", "low_V"):
+        volts = getattr(file.battery, name)
+        if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
+            limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
+            raise BadInput(origin, f"battery.{name}", f"{limits}, found {volts:g} V for the pack")
+    wander = file.discrepancy.wander
+    if wander is not None and not _is_table(wander.soc, wander.voltage_sd_V):
+        raise BadInput(origin, "discrepancy.wander.soc", "ascending knots, as many as in voltage_sd_V")
+    corridor = file.corridor
+    if corridor is not None and not len(corridor.time_s) == len(corridor.mean_V) == len(corridor.limit_V):
+        raise BadInput(origin, "corridor", "time_s, mean_V and limit_V of one length")
+    for entry in file.effects:
+        _check_effect(entry, origin)
+
+
+def _is_table(knots: list[float], values: list[float]) -> bool:
+    """Return True if the knots ascend and each has a value."""
+    return len(knots) == len(values) and all(a < b for a, b in pairwise(knots))
+
+
+def _check_tables(table: ParameterTable, origin: str) -> None:
+    """Raise BadInput unless the tables over the charge ascend, fit each other, and have an OCV that a cell can have."""
     for axis, values in (("ocv_soc", "ocv_V"), ("resistance_soc", "resistance_ohmAh")):
-        soc, column = getattr(table, axis), getattr(table, values)
-        if len(soc) != len(column) or any(b <= a for a, b in pairwise(soc)):
+        if not _is_table(getattr(table, axis), getattr(table, values)):
             raise BadInput(origin, f"parameters.{axis}", f"ascending knots, as many as in {values}")
     if table.ocv_soc[0] > EMPTY_KNOT or table.ocv_soc[-1] < FULL_KNOT:
         raise BadInput(origin, "parameters.ocv_soc", f"knots from {EMPTY_KNOT} or below to {FULL_KNOT} or above")
@@ -183,21 +204,6 @@ def _check_values(file: BatteryFile, origin: str) -> None:
     if any((d - c) > STEEPEST_V * (b - a) for (a, b), (c, d) in knots):
         expected = f"no step steeper than {STEEPEST_V:g} V per unit of charge"
         raise BadInput(origin, "parameters.ocv_V", expected)
-    for name in ("cutoff_V", "low_V"):
-        volts = getattr(file.battery, name)
-        if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
-            limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
-            raise BadInput(origin, f"battery.{name}", f"{limits}, found {volts:g} V for the pack")
-    wander = file.discrepancy.wander
-    if wander is not None and (
-        len(wander.soc) != len(wander.voltage_sd_V) or any(b <= a for a, b in pairwise(wander.soc))
-    ):
-        raise BadInput(origin, "discrepancy.wander.soc", "ascending knots, as many as in voltage_sd_V")
-    corridor = file.corridor
-    if corridor is not None and not len(corridor.time_s) == len(corridor.mean_V) == len(corridor.limit_V):
-        raise BadInput(origin, "corridor", "time_s, mean_V and limit_V of one length")
-    for entry in file.effects:
-        _check_effect(entry, origin)
 
 
 def _check_effect(entry: EffectEntry, origin: str) -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from uavbatt.battery.model import DIFFUSION_TAU_S, POLARISATION_TAU_S
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -53,7 +55,7 @@ CELL_EFFECTS = (
         "polarisation",
         "voltage that lags a load step by seconds",
         "cell",
-        (_ratio("polarisation_ratio", 0.5), _tau("polarisation_tau_s", 1.0, 120.0, 12.0)),
+        (_ratio("polarisation_ratio", 0.5), _tau("polarisation_tau_s", 1.0, 120.0, POLARISATION_TAU_S)),
     ),
     Effect(
         "slow_diffusion",
@@ -61,7 +63,7 @@ CELL_EFFECTS = (
         "cell",
         (
             _ratio("diffusion_ratio", 0.8),
-            _tau("diffusion_tau_s", 60.0, 20000.0, 400.0),
+            _tau("diffusion_tau_s", 60.0, 20000.0, DIFFUSION_TAU_S),
             Quantity("surface_h", "h", 0.0, 0.0, 0.2, 0.0, 0.01, fitted=False),
         ),
     ),

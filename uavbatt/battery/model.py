@@ -33,6 +33,9 @@ LOWEST_SOC, GRID_STEP = float(SOC_GRID[0]), float(SOC_GRID[1] - SOC_GRID[0])
 SEGMENTS = SOC_GRID.size - 1.0
 TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
+# Typical time constants, from which a fit begins too. Without the polarisations they have no effect on the model, but
+# `surface_h` alone needs the first one.
+POLARISATION_TAU_S, DIFFUSION_TAU_S = 12.0, 400.0
 MOST_STEPS = 720  # after more than an hour of silence a pack rests: longer steps do no harm
 
 
@@ -43,9 +46,9 @@ class Parameters(NamedTuple):
     r0_ohmAh: Array  # on SOC_GRID, or [batch, grid]; at 25 °C
     resistance_gain: Number = 1.0
     polarisation_ratio: Number = 0.0
-    polarisation_tau_s: Number = 10.0
+    polarisation_tau_s: Number = POLARISATION_TAU_S
     diffusion_ratio: Number = 0.0
-    diffusion_tau_s: Number = 120.0
+    diffusion_tau_s: Number = DIFFUSION_TAU_S
     activation_K: Number = 0.0
     diffusion_activation_K: Number = 0.0  # on top of activation_K
     surface_h: Number = 0.0  # charge that the surface of the particles lacks per C of load
