@@ -105,17 +105,26 @@ class SwapWatch(NamedTuple):
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if self.is_out:
             return self._other(now, silence)._replace(is_out=True)
-        if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
-            if silence is None:
-                return now
-            if now._shows_another(silence, sample, pack):
-                return self._other(now, silence)
-            return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
-        since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
+        if abs(current_A) < RESTED_C_RATE * capacity_Ah:
+            return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V)
+        if silence is None:
+            return now
+        if now._shows_another(silence, sample, pack):
+            return self._other(now, silence)
+        return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
+
+    def _at_rest(
+        self, now: SwapWatch, silence: Silence | None, sample: Sample, above_V: float, cell_V: float
+    ) -> SwapWatch:
+        """Return the watch `now` with what a row at rest shows.
+
+        above_V : how far its voltage is above the model's [V a cell]; cell_V : its voltage [V a cell].
+        """
+        since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else now.seen_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
-        if time_s - since_s > SLOWLY_AFTER_S:
-            has_leapt = gap_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V
-            other = other or has_leapt or row.innovation_V > FAR_CELL_V * cells
+        if now.seen_s - since_s > SLOWLY_AFTER_S:
+            has_leapt = now.seen_s - self.seen_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V
+            other = other or has_leapt or above_V > FAR_CELL_V
         if silence is not None:
             other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
         if other:
