@@ -49,7 +49,7 @@ class PowerHistory(NamedTuple):
             part_s = now.piece_s - now.open_s
             now = now._closed((now.open_J + part_s * power_W) / now.piece_s)
             left_s -= part_s
-        return now._replace(open_J=now.open_J + left_s * power_W, open_s=now.open_s + left_s)
+        return PowerHistory(now.piece_s, now.open_J + left_s * power_W, now.open_s + left_s, now.pieces_W)
 
     def _closed(self, piece_W: float) -> PowerHistory:
         """Return the same with one more piece; where there are too many, two become one."""
