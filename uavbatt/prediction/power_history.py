@@ -99,7 +99,7 @@ class PowerHistory(NamedTuple):
             ends_s = np.append(middles_s, now_s)
             begins_s = np.maximum(ends_s - window_s, 0.0)
             drawn = np.interp(ends_s, known_s, known_J) - np.interp(begins_s, known_s, known_J)
-            level = np.log(drawn / (ends_s - begins_s) + floor_W)
+            level = np.log(np.maximum(drawn / (ends_s - begins_s), 0.0) + floor_W)  # below 0 it charges
             apart += np.square((level[:-1] - level[-1]) / LIKE_SD)
         alike, is_known = np.exp(-0.5 * apart), middles_s < self.length_s - max(LIKE_S)
         alike[~is_known] = np.mean(alike[is_known]) if is_known.any() else 1.0
