@@ -26,7 +26,7 @@ MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 LIKE_S, LIKE_SD = (5.0, 20.0, 60.0), 0.5  # the sd is of ln of the power: the swings of a hover count little
 LIKE_FLOOR = 0.1  # of the mean power, added to all: smaller powers are alike
 LEAST_ALIKE = 1e-9  # below it no place looks like now
-ANY_SHARE = 0.1  # of the scenarios begins anywhere: the flight may change
+ANY_SHARE = 0.2  # of the scenarios begins anywhere: the flight may change
 
 
 class PowerHistory(NamedTuple):
