@@ -57,6 +57,12 @@ def test_a_flight_without_a_place_like_now_begins_anywhere() -> None:
     assert np.isfinite(ahead).all() and np.ptp(ahead[0]) > 0.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_motor_that_charges_the_pack_for_a_while_stands_still() -> None:
+    share = running(flown(*([MOTOR_W] * 4 + [-50.0] * 16) * 5, MOTOR_W))
+    assert share[0] > 0.7
+
+
 def test_an_early_end_is_shown_at_once_although_most_ends_stay() -> None:
     """The lift of a VTOL starts: it may take a weak pack to its cut-off, and a sound one flies on for minutes."""
     before_s = np.linspace(150.0, 900.0, 129)

@@ -48,9 +48,9 @@ AIR_GAIN_PS, LONGEST_AIR_STEP_S = 0.2, 10.0
 # slower than in the battery file, so that the voltage says nothing about the capacity in this time. Without this rule a
 # pack that landed nearly empty is believed to be three times as full.
 SETTLING_S, SETTLED_AFTER_S = 30.0, 60.0
-# A load is over when a small share of it is left: a glider draws 0.4 C after 8 C. The share is of the highest load of
-# the last minute, which fades: a VTOL that cruises at a fifth of its lift settles for 20 s only (60 s were too many).
-LIGHT_SHARE, LOAD_TAU_S = 0.25, 60.0
+# A load is over, too, if a small share of it is left: a glider draws 0.4 C after 8 C. The share is of the highest load
+# of the last minute, which fades. A VTOL that cruises at 1 C after its lift is no pack at rest.
+LIGHT_SHARE, LIGHT_C_RATE, LOAD_TAU_S = 0.25, 0.5, 60.0
 
 VOLTAGE_SD_V = 0.004
 # Noise as a multiple of the increase of the reaction's voltage drop since the last block. The curvature of that drop is
@@ -159,7 +159,7 @@ def load_after(last: LastLoad, rate_c: float, dt_s: float) -> LastLoad:
     """Return the last load after `dt_s` [s] at a C-rate."""
     rate = abs(rate_c)
     highest = max(rate, last.rate_c * math.exp(-dt_s / LOAD_TAU_S))
-    is_over = rate <= max(IDLE_C_RATE, LIGHT_SHARE * highest)
+    is_over = rate <= max(IDLE_C_RATE, min(LIGHT_SHARE * highest, LIGHT_C_RATE))
     return LastLoad(last.since_s + dt_s if is_over else 0.0, highest)
 
 

@@ -26,7 +26,7 @@ MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
 LIKE_S, LIKE_SD = (5.0, 20.0, 60.0), 0.5  # the sd is of ln of the power: the swings of a hover count little
 LIKE_FLOOR = 0.1  # of the mean power, added to all: smaller powers are alike
 LEAST_ALIKE = 1e-9  # below it no place looks like now
-ANY_SHARE = 0.1  # of the scenarios begins anywhere: the flight may change
+ANY_SHARE = 0.2  # of the scenarios begins anywhere: the flight may change
 
 
 class PowerHistory(NamedTuple):
@@ -97,7 +97,7 @@ class PowerHistory(NamedTuple):
             ends_s = np.append(middles_s, now_s)
             begins_s = np.maximum(ends_s - window_s, 0.0)
             drawn = np.interp(ends_s, known_s, known_J) - np.interp(begins_s, known_s, known_J)
-            level = np.log(drawn / (ends_s - begins_s) + floor_W)
+            level = np.log(np.maximum(drawn / (ends_s - begins_s), 0.0) + floor_W)  # below 0 it charges
             apart += np.square((level[:-1] - level[-1]) / LIKE_SD)
         alike, is_known = np.exp(-0.5 * apart), middles_s < self.length_s - max(LIKE_S)
         alike[~is_known] = np.mean(alike[is_known]) if is_known.any() else 1.0
