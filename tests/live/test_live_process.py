@@ -18,6 +18,7 @@ from daemon_bench import Bench
 from live_rig import PATIENCE_S, Station, Vehicle, free_port, manager_at, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.cli import live_process
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status
@@ -195,3 +196,16 @@ def test_what_cannot_be_run_is_said_in_one_line(tmp_path: Path) -> None:
     ):
         done = refused_live(*arguments, folder=tmp_path)
         assert (done.returncode, done.stderr.count("\n")) == (code, 1) and words in done.stderr, done.stderr
+
+
+def test_ctrl_c_while_it_still_loads_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It takes half a second until the process has taken the signals over: a traceback was shown."""
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(live_process, "load_filterpy", interrupted)
+    assert live_process.main() == 130
+    assert capsys.readouterr().err == "uavbatt: interrupted\n"

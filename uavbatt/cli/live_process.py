@@ -146,6 +146,9 @@ def main() -> int:
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:  # before `run` has taken the signals over
+        print("uavbatt: interrupted", file=sys.stderr)
+        return 130
     return 0
 
 
