@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from uavbatt.cli.diagnose_records import (
 from uavbatt.cli.options import ResultFiles, remark
 from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.packs.dates import date_text
 from uavbatt.records import Flight
 
 if TYPE_CHECKING:
@@ -106,10 +106,7 @@ def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, wi
 def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
     """Return the day of each followed flight; empty if its log has no date."""
     starts = {f.source: f.identity.start_utc_s for f in flights}
-    return tuple(
-        datetime.fromtimestamp(starts[name], UTC).date().isoformat() if math.isfinite(starts[name]) else ""
-        for name in found.flights
-    )
+    return tuple(date_text(starts[name]) if math.isfinite(starts[name]) else "" for name in found.flights)
 
 
 def _lines(found: Follow, dates: Sequence[str]) -> list[str]:

@@ -53,7 +53,7 @@ class Sender:
         own = self._out(system, link.own_component)
         to_gcs, to_autopilot = self._heartbeats(now_s, own)
         if vehicle is not None:
-            to_gcs += self._feeds(now_s, reports, vehicle, reader.navigation)
+            to_gcs += self._feeds(now_s, reports, vehicle, reader.navigation, own)
             to_autopilot += self._asked(now_s, vehicle, own, has_mission=reader.planned is not None)
         for frame in to_autopilot:
             if may_reach_autopilot(header(frame).message_id, link.request, link.request_mission):
@@ -73,10 +73,11 @@ class Sender:
             [own.heartbeat()] if may_go_up else [],
         )
 
-    def _feeds(self, now_s: float, reports: Sequence[Report], vehicle: Vehicle, navigation: Navigation) -> list[bytes]:
+    def _feeds(
+        self, now_s: float, reports: Sequence[Report], vehicle: Vehicle, navigation: Navigation, own: Outgoing
+    ) -> list[bytes]:
         """Return the frames about the batteries that are due: named values, announcements, battery component."""
         kinds = self._config.feed.kinds
-        own = self._out(vehicle.system or 1, self._config.link.own_component)
         texts = self._announced(now_s, reports, vehicle, navigation)  # also for the page
         made: list[bytes] = []
         if "named" in kinds:

@@ -79,17 +79,18 @@ class PowerHistory(NamedTuple):
         """
         if not sum(self.pieces_W) > 0.0:
             return np.ones((edges_s.size - 1, count))
-        begins_s = np.interp(_ranks(count), *self._likely_until())[:, None]
         at_s, drawn_J = self._energy_until(times=2 + int(edges_s[-1] / self.length_s))
+        once = slice(len(self.pieces_W) + 1)
+        begins_s = np.interp(_ranks(count), self._likely_until(at_s[once], drawn_J[once]), at_s[once])[:, None]
         passed_J = np.interp(edges_s + begins_s, at_s, drawn_J)  # by flight: ascending times are looked up fast
         return np.asarray(np.diff(passed_J) / (np.mean(self.pieces_W) * np.diff(edges_s))).T
 
-    def _likely_until(self) -> tuple[Array, Array]:
-        """Return the share 0..1 of the scenarios that begin until the end of each piece [s], by what looks like now.
+    def _likely_until(self, at_s: Array, drawn_J: Array) -> Array:
+        """Return the share 0..1 of the scenarios that begin until the end of each piece, by what looks like now.
 
+        at_s, drawn_J : the ends of the pieces [s] and the energy until each [J], of one flight (`_energy_until`).
         What followed on the last minute is not known yet: it counts as the others on average.
         """
-        at_s, drawn_J = self._energy_until()
         middles_s, now_s = 0.5 * (at_s[1:] + at_s[:-1]), self.length_s + self.open_s
         known_s, known_J = np.append(at_s, now_s), np.append(drawn_J, drawn_J[-1] + self.open_J)
         floor_W, apart = LIKE_FLOOR * drawn_J[-1] / self.length_s, np.zeros(middles_s.size)
@@ -102,7 +103,7 @@ class PowerHistory(NamedTuple):
         alike, is_known = np.exp(-0.5 * apart), middles_s < self.length_s - max(LIKE_S)
         alike[~is_known] = np.mean(alike[is_known]) if is_known.any() else 1.0
         share = (1.0 - ANY_SHARE) * alike / max(alike.sum(), LEAST_ALIKE) + ANY_SHARE / alike.size
-        return np.concatenate([[0.0], np.cumsum(share / share.sum())]), at_s
+        return np.concatenate([[0.0], np.cumsum(share / share.sum())])
 
     def _energy_until(self, times: int = 1) -> tuple[Array, Array]:
         """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each, of so many flights."""

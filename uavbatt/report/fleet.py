@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime
 from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.packs.dates import date_text
 from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_FILES, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
@@ -169,8 +169,7 @@ def _dates(group: Group) -> tuple[str, str]:
     starts_s = [s for s in group.start_s if math.isfinite(s)]
     if not starts_s:
         return DASH, DASH
-    first, last = (datetime.fromtimestamp(s, UTC).strftime("%Y-%m-%d") for s in (min(starts_s), max(starts_s)))
-    return first, last
+    return date_text(min(starts_s)), date_text(max(starts_s))
 
 
 def _look(overview: Overview) -> list[Html]:

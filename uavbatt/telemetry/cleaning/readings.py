@@ -1,4 +1,4 @@
-"""What the cleaning remembers of each sensor, one value a sensor, with the rule that says if its next reading is used.
+"""Memory of each sensor between two rows, and the rule by which its next reading is used; one value for each sensor.
 
 `after` takes the next reading in: it returns the value after it, and the reading to use, NaN if none may be used.
 """
