@@ -16,7 +16,8 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery.model import SOC_GRID, Parameters, State
 from uavbatt.battery.openloop import simulate
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage, true_current, weak_soc
-from uavbatt.battery.scaling import Pack, dense, dense_resistance, monotone_cubic
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.tables import dense, dense_resistance, monotone_cubic
 
 STEPS_S = (0.05, 0.2, 1.0, 2.5, 5.0, 12.0, 30.0, 60.0)
 

@@ -14,7 +14,7 @@ import numpy as np
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.high_voltage import ocv_of_fuller
 from uavbatt.battery.model import Array, Parameters
-from uavbatt.battery.scaling import dense, dense_resistance
+from uavbatt.battery.tables import dense, dense_resistance
 
 # Rested voltage of a LiPo cell (LiCoO2/graphite) against state of charge: rounded averages of published
 # discharge tables; ±30 mV over makes, more below 5 % and, as cells are sold that charge to 4.35 V, near full.

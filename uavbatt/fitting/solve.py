@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
-from uavbatt.battery.scaling import dense
+from uavbatt.battery.tables import dense
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Posterior, Slot

@@ -22,7 +22,7 @@ from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C, Number
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.scaling import dense, dense_resistance
+from uavbatt.battery.tables import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.most_probable import Residuals, most_probable
