@@ -75,10 +75,10 @@ ONE_UPDATE = (
     "from uavbatt.cli import live_process\n"
     "{}"
     "live_process.load_filterpy()\n"
-    "from uavbatt.estimation.kalman import condition, filterpy_condition\n"
+    "from uavbatt.estimation.kalman import Measurement, condition, filterpy_condition\n"
     "import numpy as np\n"
     "x, P, H = np.ones((1, 9)), np.eye(9)[None], np.ones((1, 1, 9))\n"
-    "given = (x, P, np.array([[0.5]]), H, np.array([[[0.1]]]))\n"
+    "given = (x, P, Measurement(np.array([[0.5]]), H, np.array([[[0.1]]])))\n"
     "for found, expected in zip(filterpy_condition()(*given), condition(*given)):\n"
     "    assert np.allclose(found, expected, rtol=0.0, atol=1e-12)"
 )

@@ -8,7 +8,7 @@ from factories import generic_pack
 
 from uavbatt.battery.model import Array, open_circuit_voltage, transfer_drop, under_power
 from uavbatt.battery.scaling import Pack
-from uavbatt.estimation import SocFilter
+from uavbatt.estimation.filter import SocFilter
 from uavbatt.records import Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 

@@ -18,8 +18,8 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
-from uavbatt.estimation import SocFilter, noise, recursion
-from uavbatt.estimation.filter import estimate_of
+from uavbatt.estimation import noise, recursion
+from uavbatt.estimation.filter import SocFilter, estimate_of
 from uavbatt.records import NAN, Estimate, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 

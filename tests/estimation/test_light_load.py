@@ -8,7 +8,7 @@ from factories import generic_pack
 from scoring.other_pack import LIPO, Pack, drawn
 
 from uavbatt.battery.capacity_prior import capacities
-from uavbatt.estimation import SocFilter
+from uavbatt.estimation.filter import SocFilter
 
 POWER_OF_1C_W = 75.0
 

@@ -11,7 +11,8 @@ from factories import generic_pack
 from uavbatt.battery.model import SOC_GRID, transfer_drop
 from uavbatt.battery.pack import c_rate
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation import SocFilter, noise
+from uavbatt.estimation import noise
+from uavbatt.estimation.filter import SocFilter
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 REACTION_V, FADE = 0.06, 0.14

@@ -98,17 +98,10 @@ class SocFilter:
 def estimate_of(sample: Sample, row: FilteredRow, warnings: tuple[str, ...] = ()) -> Estimate:
     """Return a sample's estimate from the filter after it; refused or converging while the charge is little known."""
     known, shown = row.summary, row.innovation
-    status, reason = Status.OK, ""
-    if row.belief is None or not math.isfinite(shown.soc):
-        status, reason = Status.REFUSED, _why_nothing(sample)
-    elif known.soc_sd > REFUSED_SOC_SD:
-        status, reason = Status.REFUSED, known_only_to(known.soc_sd)
-    elif known.soc_sd > CONVERGED_SOC_SD:
-        status, reason = Status.CONVERGING, known_only_to(known.soc_sd)
+    soc = shown.soc if math.isfinite(shown.soc) else known.soc
+    status, reason = _standing(sample, row)
     return Estimate(
         time_s=sample.time_s,
-        soc=min(max(shown.soc if math.isfinite(shown.soc) else known.soc, 0.0), 1.0),
-        soc_sd=known.soc_sd,
         voltage_V=sample.voltage_V,
         current_A=sample.current_A,
         temp_C=sample.temp_C,
@@ -117,16 +110,20 @@ def estimate_of(sample: Sample, row: FilteredRow, warnings: tuple[str, ...] = ()
         nis=shown.nis,
         status=status,
         reason=reason,
-        predicted_voltage_V=shown.expected_V,
-        core_temp_C=known.core_temp_C,
         warnings=warnings,
-        resistance_scale=known.resistance_scale,
-        capacity_scale=known.capacity_scale,
-        resistance_scale_sd=known.resistance_scale_sd,
-        capacity_scale_sd=known.capacity_scale_sd,
-        wear=known.wear,
-        wear_sd=known.wear_sd,
+        predicted_voltage_V=shown.expected_V,
+        **known._replace(soc=min(max(soc, 0.0), 1.0))._asdict(),
     )
+
+
+def _standing(sample: Sample, row: FilteredRow) -> tuple[Status, str]:
+    """Return the status of a sample's estimate, and its reason; empty while it is `ok`."""
+    if row.belief is None or not math.isfinite(row.innovation.soc):
+        return Status.REFUSED, _why_nothing(sample)
+    soc_sd = row.summary.soc_sd
+    if soc_sd > CONVERGED_SOC_SD:
+        return Status.REFUSED if soc_sd > REFUSED_SOC_SD else Status.CONVERGING, known_only_to(soc_sd)
+    return Status.OK, ""
 
 
 def unknown(sample: Sample, reason: str) -> Estimate:

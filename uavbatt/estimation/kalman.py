@@ -12,7 +12,7 @@ Jacobians F and H are central differences of the model's own functions, so that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,20 @@ if TYPE_CHECKING:
 # Steps of the difference quotients: much larger than rounding, much smaller than any curvature of the model.
 NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-4])
 
-Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
+
+class Measurement(NamedTuple):
+    """Measurement holds n readings against what each member of a belief expects of them.
+
+    innovation : measured less expected [members, n]; observation : H [members, n, 9];
+    noise_R : covariance of the measurement noise [members, n, n].
+    """
+
+    innovation: Array
+    observation: Array
+    noise_R: Array
+
+
+Condition = Callable[[Array, Array, Measurement], tuple[Array, Array]]
 
 
 def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
@@ -52,12 +65,9 @@ def predict(transition: Callable[[Array], Array], x: Array, P: Array, process_Q:
     return moved, F @ P @ np.swapaxes(F, 1, 2) + process_Q[..., None] * np.eye(SIZE)
 
 
-def condition(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
-    """Condition means [members, 9] and covariances [members, 9, 9] on one measurement of n readings.
-
-    innovation : measured less expected [members, n]; observation : H [members, n, 9];
-    noise_R : covariance of the measurement noise [members, n, n]. Returns the means and covariances after it.
-    """
+def condition(x: Array, P: Array, measurement: Measurement) -> tuple[Array, Array]:
+    """Return means [members, 9] and covariances [members, 9, 9] after a measurement."""
+    innovation, observation, noise_R = measurement
     PHt = P @ np.swapaxes(observation, 1, 2)
     gain = PHt @ np.linalg.inv(observation @ PHt + noise_R)
     keep = np.eye(SIZE) - gain @ observation
@@ -72,16 +82,16 @@ def filterpy_condition() -> Condition:
     """
     filters: list[ExtendedKalmanFilter] = []
 
-    def by_filterpy(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
+    def by_filterpy(x: Array, P: Array, measurement: Measurement) -> tuple[Array, Array]:
         if len(filters) < len(x):
             from filterpy.kalman import ExtendedKalmanFilter
 
             filters[:] = [ExtendedKalmanFilter(dim_x=SIZE, dim_z=2) for _ in range(len(x))]
         x, P = x.copy(), P.copy()
-        for member, kalman in enumerate(filters[: len(x)]):
+        for member, (innovation, row, noise_R) in enumerate(zip(*measurement, strict=True)):
+            kalman = filters[member]
             kalman.x, kalman.P = x[member], P[member]
-            row = observation[member]
-            kalman.update(innovation[member], lambda x, row=row: row, lambda x: 0.0, R=noise_R[member])
+            kalman.update(innovation, lambda x, row=row: row, lambda x: 0.0, R=noise_R)
             x[member], P[member] = kalman.x, kalman.P
         return x, P
 

@@ -25,7 +25,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
-from uavbatt.estimation.kalman import Condition, jacobian
+from uavbatt.estimation.kalman import Condition, Measurement, jacobian
 from uavbatt.estimation.summary import BeliefSummary, summary
 from uavbatt.records import Sample
 
@@ -210,35 +210,42 @@ def _update(
     weighs : the block tells which member is right.
     Returns the belief, the block against the model, and the air by the block's temperature, if it has one.
     """
-    current_A, temp_C = block.current_A, block.temp_C
-    has_temp = math.isfinite(temp_C)
-
-    def reading(x: Array) -> Array:
-        volts = b.voltage(pack, x, current_A)
-        warmth = x[X.SENSOR] + pack.installation.offset_K
-        return np.stack([volts, warmth]) if has_temp else np.stack([volts])
-
-    observation, expected = jacobian(reading, at.means)
-    measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
-    innovation = measured - expected
-    noise_R = np.zeros((len(at.means), measured.size, measured.size))
-    noise_R[:, 0, 0] = noise.reading_variance(pack, at.means.T, current_A, step_A)
-    if has_temp:
-        noise_R[:, 1, 1] = pack.temperature_sd_K**2
+    measurement, expected_V = _measurement(pack, at.means, block, step_A)
+    innovation, observation, noise_R = measurement
     spread = observation @ at.covariances @ np.swapaxes(observation, 1, 2) + noise_R
     nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
     # Far off (NIS above GATE): believe the reading less, so that its normalised innovation is GATE.
     doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
-    x, P = _at_most_full(*condition(at.means, at.covariances, innovation, observation, doubted), condition)
+    x, P = condition(at.means, at.covariances, measurement._replace(noise_R=doubted))
+    x, P = _at_most_full(x, P, condition)
     log_weights, weight = at.log_weights, at.weights
     if weighs:
         log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
-    if has_temp:
+    if math.isfinite(block.temp_C):
         air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.temperature_sd_K, block.duration_s)
     after = Belief(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weights, air.ambient_C)
     soc = float(after.weights @ x[:, X.SOC])
-    shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
+    shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected_V), soc)
     return after, shown, air
+
+
+def _measurement(pack: Pack, means: Array, block: Block, step_A: float) -> tuple[Measurement, Array]:
+    """Return the means of a block (voltage, and temperature if it has one) as a measurement, and the voltage expected.
+
+    means : of the members [members, 9]; step_A as in `_update`. The expected voltage [V] is that of each member.
+    """
+    measured = np.array([block.voltage_V, block.temp_C])[: 2 if math.isfinite(block.temp_C) else 1]
+
+    def readings(x: Array) -> Array:
+        volts, warmth_C = b.voltage(pack, x, block.current_A), x[X.SENSOR] + pack.installation.offset_K
+        return np.stack([volts, warmth_C][: measured.size])
+
+    observation, expected = jacobian(readings, means)
+    variances = np.empty((len(means), 2))
+    variances[:, 0] = noise.reading_variance(pack, means.T, block.current_A, step_A)
+    variances[:, 1] = pack.temperature_sd_K**2
+    noise_R = variances[:, : measured.size, None] * np.eye(measured.size)
+    return Measurement(measured - expected, observation, noise_R), expected[:, 0]
 
 
 def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Array]:
@@ -248,9 +255,9 @@ def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Arra
         return x, P
     row = np.zeros((int(over.sum()), 1, SIZE))
     row[:, 0, X.SOC] = 1.0
-    noise_R = np.full((len(row), 1, 1), FULL_SOC_SD**2)
+    full = Measurement(1.0 - x[over][:, [X.SOC]], row, np.full((len(row), 1, 1), FULL_SOC_SD**2))
     x, P = x.copy(), P.copy()
-    x[over], P[over] = condition(x[over], P[over], 1.0 - x[over][:, [X.SOC]], row, noise_R)
+    x[over], P[over] = condition(x[over], P[over], full)
     return x, P
 
 

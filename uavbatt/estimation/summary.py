@@ -12,7 +12,10 @@ from uavbatt.records import NAN
 
 
 class BeliefSummary(NamedTuple):
-    """BeliefSummary holds the means and sds of a belief that an estimate shows; they change when a block is closed."""
+    """BeliefSummary holds the means and sds of a belief that an estimate shows, by the names of `records.Estimate`.
+
+    They change when a block is closed.
+    """
 
     soc: float = NAN
     soc_sd: float = NAN
