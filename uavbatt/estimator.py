@@ -35,7 +35,7 @@ from uavbatt.estimation.checked import checked_samples
 from uavbatt.estimation.filter import NO_VOLTAGE, SocFilter, estimate_of, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
-from uavbatt.estimation.recursion import FilteredRow, Window, flight_window
+from uavbatt.estimation.recursion import NOT_BEGUN, FilteredRow, Window, flight_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.estimation.summary import BeliefSummary
 from uavbatt.limits import Names
@@ -211,29 +211,28 @@ class Estimator:
     ) -> Iterator[Pending]:
         """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
         cleaners, clean = self._cleaned(checked_samples(samples))
-        rows, since = (self._state.filter.run(clean, filter_window) if self._state is not None else []), 0
+        rows = [NOT_BEGUN] * len(clean) if self._state is None else self._state.filter.run(clean, filter_window)
         taken = zip(samples, cleaners, clean, navigations, strict=True)
         for k, (raw, self._cleaner, sample, navigation) in enumerate(taken):
             if math.isnan(sample.time_s):
-                yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
+                yield Pending(sample, unknown(sample, NO_TIME))
                 continue
             self._know(self._known.after(raw, sample))
             state = self._state
             if state is None or self._cleaner.current.is_guessed != state.is_guessed:
                 refused = self._refused_start(sample)
                 if refused is not None:
-                    yield Pending(sample, refused, None, refused.reason)
+                    yield Pending(sample, refused)
                     continue
                 state = self._fresh_state()
-                rows, since = state.filter.run(clean[k:], filter_window), k
-            row = rows[k - since]
-            swap = state.swap.after(sample, row.innovation, row.belief, state.filter.pack, raw.voltage_V)
+                rows[k:] = state.filter.run(clean[k:], filter_window)
+            swap = state.swap.after(sample, rows[k].innovation, rows[k].belief, state.filter.pack, raw.voltage_V)
+            state = state._replace(swap=swap)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known, self.remembered = self._known.anew(), self.remembered_next
                 state = self._fresh_state()
-                rows, since = state.filter.run(clean[k:], filter_window), k
-                row, swap = rows[0], state.swap
-            yield self._forecast_for(state, swap, sample, row, navigation)
+                rows[k:] = state.filter.run(clean[k:], filter_window)
+            yield self._forecast_for(state, sample, rows[k], navigation)
 
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
@@ -263,9 +262,7 @@ class Estimator:
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         return PackState(soc_filter, Forecaster(pack, self.settings), self._cleaner.current.is_guessed)
 
-    def _forecast_for(
-        self, state: PackState, swap: SwapWatch, sample: Sample, row: FilteredRow, navigation: Navigation
-    ) -> Pending:
+    def _forecast_for(self, state: PackState, sample: Sample, row: FilteredRow, navigation: Navigation) -> Pending:
         """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
         pack, forecaster, belief = state.filter.pack, state.forecaster, row.belief
         found = estimate_of(sample, row, self._warnings(pack, sample, row.summary))
@@ -273,12 +270,12 @@ class Estimator:
         found = monitor.judged(found)
         if self._known.refusal:
             found = replace(found, status=Status.REFUSED, reason=self._known.refusal)
-        if self._cleaner.current.is_guessed:
+        if state.is_guessed:
             found = unmetered_estimate(found)
         forecaster.cell_spread_V = self._cleaner.cells.spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
         bound = state.bound.after(sample, belief, pack, self._cleaner.cells.spread_V)
-        self._state = PackState(state.filter, forecaster, state.is_guessed, swap, monitor, bound)
+        self._state = state._replace(monitor=monitor, bound=bound)
         return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:

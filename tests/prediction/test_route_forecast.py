@@ -149,7 +149,7 @@ def test_not_every_forecast_asks_about_the_ways_and_the_others_count_down(volts:
         estimate = estimator.step(sample)
         refusal, question = forecaster.update(sample, estimate, estimator.belief, heard)
         answered = None if question is None else (question, end_times(question.flying))
-        said = forecaster.finish(sample, estimate, refusal, answered)
+        said = forecaster.finish(estimate, refusal, answered)
         if question is not None and question.route is not None:
             asked.append(k)
         assert said.route is not None or question is None

@@ -34,11 +34,11 @@ class Forecast(NamedTuple):
     ends_s: Array  # sorted
     route: Route | None = None
 
-    def counted_down(self, time_s: float, estimate: Estimate) -> Remaining:
-        """Return the remaining time at a later time [s], with status and reason of the estimate there."""
-        age_s = time_s - self.time_s
+    def counted_down(self, estimate: Estimate) -> Remaining:
+        """Return the remaining time at a later estimate, with its status and reason."""
+        age_s = estimate.time_s - self.time_s
         return Remaining(  # max() keeps NaN, the first of the two
-            time_s=time_s,
+            time_s=estimate.time_s,
             remaining_s=max(self.median_s - age_s, 0.0),
             remaining_lo_s=max(self.lo_s - age_s, 0.0),
             remaining_hi_s=max(self.hi_s - age_s, 0.0),

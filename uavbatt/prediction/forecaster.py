@@ -111,13 +111,6 @@ class Forecaster:
         self._flight, self._at_take_off = memory.flight, memory.at_take_off
         self._progress = self._progress._replace(lessons=memory.route)
 
-    def step(
-        self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
-    ) -> Remaining:
-        """Return the remaining time after `sample`; refused on the ground and while the estimate is refused."""
-        refusal, question = self.update(sample, estimate, belief, navigation)
-        return self.finish(sample, estimate, refusal, question and (question, end_times(question.flying)))
-
     def update(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
     ) -> tuple[str, Question | None]:
@@ -148,20 +141,18 @@ class Forecaster:
             self._asked_s, self._ways = sample.time_s, question.ways
         return refusal, question
 
-    def finish(
-        self, sample: Sample, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None
-    ) -> Remaining:
-        """Return the remaining time after `sample`, from the refusal of `update` or the answer to its question.
+    def finish(self, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None) -> Remaining:
+        """Return the remaining time of an estimate, from the refusal of `update` or the answer to its question.
 
-        answered : the question with its simulated ends, None where `update` had none. Samples must be finished in the
+        answered : the question with its simulated ends, None where `update` had none. Estimates must be finished in the
         order in which they were taken in.
         """
         if answered is not None:
             self._last = self._forecast(*answered)
         if refusal or self._last is None:
             self._last = None
-            return no_forecast(sample.time_s, refusal)
-        return self._last.counted_down(sample.time_s, estimate)
+            return no_forecast(estimate.time_s, refusal)
+        return self._last.counted_down(estimate)
 
     def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
         """Return the forecast to simulate from the belief and the load to come; None when no end is in sight."""

@@ -34,12 +34,15 @@ MAY_NOT_LAND = Notice(  # instead of it, once the aircraft flies home or lands
 
 
 class Pending(NamedTuple):
-    """Pending is a row taken in: its estimate is known, its remaining time may wait for a forecast to be simulated."""
+    """Pending is a row taken in: its estimate is known, its remaining time may wait for a forecast to be simulated.
+
+    refusal : why there can be no forecast; a row without a forecaster is refused for its estimate's reason.
+    """
 
     sample: Sample
     estimate: Estimate
-    forecaster: Forecaster | None
-    refusal: str
+    forecaster: Forecaster | None = None
+    refusal: str = ""
     question: Question | None = None
     voltage_left_s: float = math.inf  # time until the measured voltage itself reaches the cut-off
 
@@ -47,9 +50,9 @@ class Pending(NamedTuple):
         """Return the estimate and the remaining time; `ends` answers the question, if there is one."""
         sample, found = self.sample, self.estimate
         if self.forecaster is None:
-            return found, no_forecast(sample.time_s, self.refusal)
+            return found, no_forecast(found.time_s, found.reason)
         answered = (self.question, ends) if self.question is not None and ends is not None else None
-        remaining = bounded(self.forecaster.finish(sample, found, self.refusal, answered), self.voltage_left_s)
+        remaining = bounded(self.forecaster.finish(found, self.refusal, answered), self.voltage_left_s)
         added: list[str] = [FALLS_FASTER] if remaining.reason == FALLS_FASTER else []
         if remaining.remaining_alarm_s <= ALARM_S:
             added.append(ALARM)
