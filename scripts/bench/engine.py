@@ -32,7 +32,8 @@ from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.time_to_end import Normals, time_to_end
+from uavbatt.prediction.sampling import Normals
+from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 

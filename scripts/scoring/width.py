@@ -24,6 +24,7 @@ from uavbatt.estimation.filter import SocFilter, estimate_of
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import FlightPoint, LoggedLoad, RecentLoad
+from uavbatt.prediction.sampling import Normals
 from uavbatt.prediction.time_to_end import time_to_end
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
@@ -92,7 +93,8 @@ def _variants(q: Question, logged: LoggedLoad, soc: float, log_capacity: float) 
     yield "power and capacity known", _ends(_with(known, {X.LOG_CAPACITY: log_capacity}))
     both = _with(known, {X.SOC: soc, X.LOG_CAPACITY: log_capacity})
     yield "power, charge and capacity known", _ends(both)
-    still = time_to_end(both.flying._replace(reserve_soc=0.0, by_rows=False)).end_s
+    flying = both.flying._replace(reserve_soc=0.0, by_rows=False)
+    still = time_to_end(flying, Normals(np.zeros_like(flying.power_W), np.empty((0, 1)))).end_s
     yield "power, charge and capacity known, no drift ahead", np.minimum(still, both.horizon_s)
 
 

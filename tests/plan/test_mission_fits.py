@@ -15,7 +15,8 @@ from uavbatt.navigation import Action, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import rested
 from uavbatt.plan.mission import MissionPlan
 from uavbatt.prediction import sampling
-from uavbatt.prediction.long_steps import fly_draws, start_draws
+from uavbatt.prediction.draws import Flying
+from uavbatt.prediction.long_steps import fly_draws
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     pack = generic_pack()
     x = sampling.samples(rested(pack, 1.0, 25.0))
     edges_s = np.arange(0.0, 7200.0, 20.0)
-    passed = fly_draws(start_draws(pack, x, 25.0), np.full((1, x.shape[1]), 180.0), np.array([7200.0]), edges_s)
+    passed = fly_draws(Flying(pack, x, np.full((1, x.shape[1]), 180.0), 25.0, np.array([7200.0])), edges_s)
     assert (np.diff(passed.state.soc, axis=0) <= 0.0).all()
     assert np.isfinite(passed.state.soc).all() and passed.state.soc[-1].max() < 0.01
 

@@ -24,11 +24,11 @@ from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_dou
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import sampling
-from uavbatt.prediction.curves import curve_tables, looked_up
+from uavbatt.prediction.draws import Flying, curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, LoggedLoad
-from uavbatt.prediction.time_to_end import Flying, time_to_end
+from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
@@ -128,7 +128,7 @@ def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> N
     now = belief(0.95, temp_C, exact=True)
     found, steps = forecast(pack()._replace(bias_sd_V=1e-9), now, power_W), 12000
     flying = Flying(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
-    fine = time_to_end(flying)
+    fine = time_to_end(flying, sampling.Normals(np.zeros((steps, 1)), np.empty((0, 1))))
     assert found.median_s == pytest.approx(float(fine.end_s[0]), rel=0.003)
 
 

@@ -19,7 +19,9 @@ from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question, least_soc
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, Flying, Normals, counted
+from uavbatt.prediction.draws import Flying
+from uavbatt.prediction.sampling import Normals
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:

@@ -26,14 +26,14 @@ from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, TakeOff, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import end_times
-from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
+from uavbatt.prediction.draws import Flying
+from uavbatt.prediction.long_steps import edges_through, fly_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import Path, path, return_reason, way_home
 from uavbatt.prediction.route_pieces import LegTiming
-from uavbatt.prediction.time_to_end import Flying
 from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown
@@ -209,9 +209,8 @@ def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
     goes_on &= pieces.gained_ms[:-1] == 0.0  # after it speeds up the same leg goes on
     last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
     ends_s: Array = pieces.ends_s[last]
-    draws = start_draws(flying.pack, flying.x, flying.ambient_C)
     edges_s = edges_through(ends_s)
-    passed = fly_draws(draws, flying.power_W, flying.dt_s, edges_s).of(np.searchsorted(edges_s, ends_s))
+    passed = fly_draws(flying, edges_s).of(np.searchsorted(edges_s, ends_s))
     soc = np.quantile(passed.state.soc, LEVELS, axis=1)
     ended = (end_s < ends_s[:, None]).mean(axis=1)
     return tuple(

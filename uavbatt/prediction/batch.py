@@ -14,9 +14,10 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.prediction import sampling
+from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.route_forecast import RouteQuestion, WaysState
 from uavbatt.prediction.take_off import AtTakeOff
-from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Flying, Normals, counted, time_to_end
+from uavbatt.prediction.time_to_end import COUNTED, EndTimes, counted, time_to_end
 
 SIDE_BY_SIDE = 16  # more questions do not fit into the cache
 
@@ -92,6 +93,6 @@ def _together(few: list[Flying]) -> list[EndTimes]:
         ambient_C=each(q.ambient_C for q in few),
         dt_s=on(q.dt_s for q in few)[:, :, None],
     )
-    beside = Normals(drawn.bias[:, None], drawn.row[:, None])
+    beside = sampling.Normals(drawn.bias[:, None], drawn.row[:, None])
     ends = time_to_end(together, beside, least_soc(few[0]), each(q.dt_s.size for q in few), COUNTED)
     return [EndTimes(*pair) for pair in zip(*counted(ends), strict=True)]

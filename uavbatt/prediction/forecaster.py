@@ -23,6 +23,7 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
+from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
@@ -32,7 +33,7 @@ from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
-from uavbatt.prediction.time_to_end import EndTimes, Flying
+from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)

@@ -11,15 +11,15 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
-from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
+from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now, is_returning, why_no_home
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.time_to_end import Flying
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import IN_TIME, Route
 
@@ -138,7 +138,7 @@ def fly_ways(
     if asked.route_s is None and home is None:
         return asked
     edges_s = edges_through(np.unique(np.concatenate([turn_at_s, last_s])))
-    passed = fly_draws(start_draws(flying.pack, flying.x, flying.ambient_C), flying.power_W, flying.dt_s, edges_s)
+    passed = fly_draws(flying, edges_s)
     if asked.route_s is not None:
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:

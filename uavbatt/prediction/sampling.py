@@ -8,16 +8,23 @@ are whitened, so that the draws carry the belief's mean and covariance exactly, 
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.state_space import SIZE, Belief, X
-from uavbatt.prediction.time_to_end import Normals
 
 DRAWS = 128
 FEWEST, LONGEST = 64, 1024  # steps
 _SEED = 5725
+
+
+class Normals(NamedTuple):
+    """Normals holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
+
+    bias: Array
+    row: Array
 
 
 @cache

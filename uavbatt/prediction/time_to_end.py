@@ -1,8 +1,5 @@
 """Endurance of packs under power to come: the simulation behind every forecast.
 
-Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a
-pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
-
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
 half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; if telemetry rows are slower than
 that, the steps are the rows, and the centred median of three of them, with their noise, decides. A charge below the
@@ -19,20 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
-from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import X, bias_variance, drift_variance, unpack
-from uavbatt.prediction.curves import curve_tables, looked_up
+from uavbatt.battery.pack import metered_voltage
+from uavbatt.prediction.draws import Flying, mean_cell_V, source_of, start_draws, step_over, stepped
+from uavbatt.prediction.sampling import Normals
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
-# Constants that are combined with arrays at every step: numpy works a third faster with 0-d arrays than with floats.
-MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
 SOC_IN_CELL_V = 2.5  # 1 % of charge weighs as 25 mV of a cell, so that one crossing rule serves both limits
 # Share of the draws that is simulated to the end; the 95 % point lies among their ends. The last few would cost a fifth
 # of all steps, and count as ending with the last of these.
@@ -46,83 +39,41 @@ class EndTimes(NamedTuple):
     low_s: Array
 
 
-class Flying(NamedTuple):
-    """Flying holds the packs of a forecast, drawn from a belief, and the power that each will fly.
-
-    pack : with the limits of its weakest cell; x : the draws [9, draws]; power_W : true power [W], [steps, draws];
-    ambient_C : temperature of the air [°C]; dt_s : lengths of the steps [s], [steps]; reserve_soc : charge that shall
-    be left at the end; by_rows : the steps are the telemetry's rows, between which the power goes straight, and the
-    median of three of them judges. Several forecasts fly side by side with a batch of two dimensions, over which
-    `dt_s`, `ambient_C` and the pack's limits broadcast.
-    """
-
-    pack: Pack
-    x: Array
-    power_W: Array
-    ambient_C: Number
-    dt_s: Array
-    reserve_soc: float = 0.0
-    by_rows: bool = False
-
-
-class Normals(NamedTuple):
-    """Normals holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
-
-    bias: Array
-    row: Array
-
-
 def time_to_end(
     flying: Flying,
-    wander: Normals | None = None,
+    wander: Normals,
     least_soc: Number = -np.inf,
     own_steps: Number = np.inf,
     enough: float = 1.0,
 ) -> EndTimes:
     """Return when each draw's flight ends: metered voltage below the pack's cut-off or charge below `least_soc`.
 
-    wander : without it the discrepancy stays and rows are exact; own_steps : steps after which each forecast's horizon
-    ends. The simulation is over when a share `enough` of each forecast's draws has ended; the others are inf.
+    own_steps : steps after which each forecast's horizon ends. The simulation is over when a share `enough` of each
+    forecast's draws has ended; the others are inf.
     """
-    pack, power_W, dt_s, by_rows = flying.pack, flying.power_W, flying.dt_s, flying.by_rows
-    cell, installation, state = unpack(pack, flying.x)
-    cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
-    steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
-    harness_ohmAh = series_resistance(installation, 0.0)
-    gained_V2 = bias_variance(pack, dt_s)
-    fast, slow, core, unread = model.cell_lags(cell, dt_s)
-    batch = flying.x.shape[1:]
-    limits = _Limits(flying, least_soc, _times(dt_s, len(batch)), own_steps, float(np.min(own_steps)))
+    pack, draws, count = flying.pack, start_draws(flying), flying.power_W.shape[0]
+    installation, batch = draws.installation, draws.bias_V.shape
+    asked_WpAh = flying.power_W / (installation.cells * installation.present_capacity_Ah)
+    limits = _Limits(flying, least_soc, _times(flying.dt_s, len(batch)), own_steps, float(np.min(own_steps)))
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *batch)))
-    ends = EndTimes(*np.full((2, *batch), np.inf))
-    tables, asked, bias_V, before = curve_tables(pack), power_W / size, flying.x[X.BIAS], None
-    for k in range(steps):
-        charged_V, new_ohmAh, drift_sd_V = looked_up(tables, state.soc)
-        emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
-        series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
-        under = model.under_power(cell, emf_V, series_ohmAh, asked[k])
-        rate, cell_V = under.c_rate, model.voltage_under(emf_V, series_ohmAh, under)
-        if eq.is_on(installation.deficit):
-            strong_V = cell_V - bias_V + rate * harness_ohmAh
-            cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
+    ends, steps, before = EndTimes(*np.full((2, *batch), np.inf)), step_over(draws, flying.dt_s), None
+    for k in range(count):
+        at = source_of(draws)
+        under = model.under_power(draws.cell, at.emf_V, at.series_ohmAh, asked_WpAh[k])
         row = JUDGED_BEFORE + k % JUDGED_AT_ONCE
-        recent.cell_V[row], recent.soc[row] = cell_V, state.soc
-        if by_rows and wander is not None and before is not None:
-            change_V = np.abs(rate - before) * series_ohmAh
+        recent.cell_V[row], recent.soc[row] = mean_cell_V(draws, at, under), draws.state.soc
+        if flying.by_rows and before is not None:
+            change_V = np.abs(under.c_rate - before) * at.series_ohmAh
             recent.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
-        before = rate
-        if row == recent.soc.shape[0] - 1 or k == steps - 1:
+        before = under.c_rate
+        if row == recent.soc.shape[0] - 1 or k == count - 1:
             ends = _judged(limits, ends, recent, k)
             if np.isfinite(ends.end_s).mean(axis=-1).min() >= enough:
                 break
-        if by_rows:
-            mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
-            under = model.under_power(cell, emf_V, series_ohmAh, mean_WpAh)
-        over = model.Lags(fast[k, ...], slow[k, ...], core[k, ...], unread)
-        state = model.step_cell(cell, state, under, r_ohmAh, flying.ambient_C, dt_s[k], over)
-        if wander is not None:
-            doubt_V2 = drift_variance(drift_sd_V, under.c_rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
-            bias_V = bias_V + np.sqrt(gained_V2[k, ...] + doubt_V2) * wander.bias[k]
+        if flying.by_rows:
+            mean_WpAh = 0.5 * (asked_WpAh[k] + asked_WpAh[min(k + 1, count - 1)])
+            under = model.under_power(draws.cell, at.emf_V, at.series_ohmAh, mean_WpAh)
+        draws = stepped(draws, at, under, steps.at(k), wander.bias[k])
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.long_steps import STEP_S, FlyingDraws, Source, above_cutoff_V, source_of, step_draws
+from uavbatt.prediction.draws import FlyingDraws, Source, source_of
+from uavbatt.prediction.long_steps import STEP_S, above_cutoff_V, step_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
