@@ -145,16 +145,18 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
 
 
 @compiled
-def add_row(block: Array, voltage_V: float, current_A: float, temp_C: float, dt_s: float, before_A: float) -> None:
-    """Add a row to the open block, `dt_s` [s] after a row of `before_A` [A], as `Block.after` does."""
+def with_row(at: Standing, time_s: float, voltage_V: float, current_A: float, temp_C: float) -> Standing:
+    """Return the state after a row, which is added to the open block in place, as `Block.after` does."""
+    block, dt_s = at.block, time_s - at.time_s
     block[0] += 1.0
     block[1] += dt_s
-    block[2] += 0.5 * (before_A + current_A) * dt_s
+    block[2] += 0.5 * (at.current_A + current_A) * dt_s
     block[3] += voltage_V
     block[4] += current_A
     if np.isfinite(temp_C):
         block[5] += temp_C
         block[6] += 1.0
+    return Standing(time_s, current_A, at.block_A, block, at.air, at.load)
 
 
 @compiled
@@ -188,8 +190,7 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     """
     n, last = rows.shape[1], 0
     now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
-    block, time_s, before_A = at.block.copy(), at.time_s, at.current_A
-    at = Standing(time_s, before_A, at.block_A, block, at.air, at.load)
+    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load)
     kept = Moments(
         np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
     )
@@ -198,16 +199,16 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     drawn_As, true_A = np.full(n, np.nan), np.full(n, np.nan)
     for k in range(n):
         in_force[k] = last
-        dt_s, voltage_V, metered_A = rows[0, k] - time_s, rows[1, k], rows[2, k]
+        time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
+        dt_s = time_s - at.time_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
-        if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
+        if dt_s > BLOCK_S and at.block[1] > 0.0:  # rows before a gap belong to the time before it
             now, at, _ = close(pack, now, at)
         current_A = true_current(pack.installation, metered_A, voltage_V)
-        add_row(block, voltage_V, current_A, rows[3, k], dt_s, before_A)
-        time_s, before_A = rows[0, k], current_A
-        if block[1] < BLOCK_S:
-            drawn_As[k], true_A[k] = block[2], current_A
+        at = with_row(at, time_s, voltage_V, current_A, temp_C)
+        if at.block[1] < BLOCK_S:
+            drawn_As[k], true_A[k] = at.block[2], current_A
             continue
         now, at, (shown[k, 0], shown[k, 1], shown[k, 2], shown[k, 3]) = close(pack, now, at)
         last += 1
@@ -215,7 +216,6 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
         in_force[k], ambient_C[last] = last, at.air.ambient_C
     show_blocks(pack, kept, in_force, drawn_As, true_A, rows[1], shown)
     first = Moments(kept.x[: last + 1], kept.P[: last + 1], kept.log_weight[: last + 1])
-    at = Standing(time_s, before_A, at.block_A, block, at.air, at.load)
     return Filtered(first, ambient_C[: last + 1], in_force, shown, at)
 
 

@@ -7,6 +7,7 @@ that each stops at its own end.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,18 @@ from uavbatt.prediction.batch import Question, least_soc
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.sampling import Normals
 from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
+
+
+class Fall(NamedTuple):
+    """Fall follows one margin over the steps of a draw.
+
+    at_s : when it has fallen below zero [s], inf before; last : its value at the last step; below : bits of its last
+    three rows, set where it was below zero.
+    """
+
+    at_s: float
+    last: float
+    below: int
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -51,13 +64,12 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
 
     least_soc : the charge below which it ends; gained_V2 : the variance [V²] that the discrepancy gains in each step.
     """
-    pack, x, power_W, dt_s = flying.pack, flying.x[:, j], flying.power_W[:, j], flying.dt_s
-    by_rows = flying.by_rows
-    cell, installation, state = b.unpack(pack, x)
-    present_Ah, cells = installation.present_capacity_Ah, installation.cells
-    size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
-    bias_V, before, at_s, end_s, low_s = x[X.BIAS], 0.0, 0.0, np.inf, np.inf
-    last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
+    pack, power_W, dt_s, by_rows = flying.pack, flying.power_W[:, j], flying.dt_s, flying.by_rows
+    cell, installation, state = b.unpack(pack, flying.x[:, j])
+    cells, size = installation.cells, installation.cells * installation.present_capacity_Ah
+    lags, lags_s = model.lags(cell, dt_s[0]), dt_s[0]
+    bias_V, before, at_s = flying.x[X.BIAS, j], 0.0, 0.0
+    end, low = Fall(np.inf, 0.0, 0), Fall(np.inf, 0.0, 0)
     for k in range(dt_s.size):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
@@ -70,13 +82,11 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
             volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
         before = rate
         margin = min(volts - pack.cutoff_V, (state.soc - least_soc) * SOC_IN_CELL_V * cells)
-        above_low = volts - pack.low_V
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
-        end_s, below_end = fallen(by_rows, k, end_s, below_end, last_end, margin, earlier_s, at_s)
-        low_s, below_low = fallen(by_rows, k, low_s, below_low, last_low, above_low, earlier_s, at_s)
-        if end_s < np.inf:
+        end = fallen(by_rows, k, end, margin, earlier_s, at_s)
+        low = fallen(by_rows, k, low, volts - pack.low_V, earlier_s, at_s)
+        if end.at_s < np.inf:
             break
-        last_end, last_low = margin, above_low
         if by_rows:
             mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
             under = model.under_power(cell, emf_V, series_ohmAh, mean_W / size)
@@ -86,27 +96,26 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
         state = model.step_cell(cell, state, under, r_ohmAh, flying.ambient_C, dt_s[k], lags)
         bias_V += np.sqrt(gained_V2[k] + doubt_V2) * wander.bias[k, j]
         at_s += dt_s[k]
-    return end_s, min(low_s, end_s)
+    return end.at_s, min(low.at_s, end.at_s)
+
+
+@compiled
+def fallen(by_rows: bool, k: int, before: Fall, margin: float, earlier_s: float, at_s: float) -> Fall:
+    """Return the fall of a margin after step `k`, from that `before` it.
+
+    margin : its value at this step; earlier_s, at_s : when the step before and this one begin [s]. By rows the centred
+    median of three decides.
+    """
+    below = (2 * before.below + (margin < 0.0)) % 8
+    if before.at_s < np.inf:
+        return Fall(before.at_s, margin, below)
+    if by_rows:
+        is_new = k > 1 and below in (3, 5, 6, 7)  # two of the three are below zero
+        return Fall(earlier_s if is_new else np.inf, margin, below)
+    return Fall(crossing(k, before.last, margin, earlier_s, at_s) if margin < 0.0 else np.inf, margin, below)
 
 
 @compiled
 def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
     """Return the instant [s] at which the fall from `above` to `under` passed zero (`time_to_end._mean_crossing`)."""
     return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0
-
-
-@compiled
-def fallen(
-    by_rows: bool, k: int, known_s: float, below: int, last: float, margin: float, earlier_s: float, at_s: float
-) -> tuple[float, int]:
-    """Return the instant [s] at which a margin has fallen below zero, inf before, and its last three rows as bits.
-
-    known_s, below : the two before step `k`; last, margin : the margin at the step before and at this one, which
-    begin at `earlier_s` and `at_s` [s]. By rows the centred median of three decides.
-    """
-    if not by_rows:
-        is_new = known_s == np.inf and margin < 0.0
-        return (crossing(k, last, margin, earlier_s, at_s) if is_new else known_s), below
-    below = (2 * below + (margin < 0.0)) % 8
-    is_new = known_s == np.inf and k > 1 and below in (3, 5, 6, 7)  # two of the three are below zero
-    return (earlier_s if is_new else known_s), below
