@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -77,16 +76,14 @@ class FittedRecords(NamedTuple):
         return self.flights > 2 and not self.bench
 
 
-def fit_battery(
-    size: RecordedPack, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
-) -> FittedBattery:
+def fit_battery(size: RecordedPack, datasets: list[DataSet], flights: list[Flight]) -> FittedBattery:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
     flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
     if not bench and not flown:
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
     records = FittedRecords(observed.stack(bench + flown), len(bench), len(flown))
-    fit = _solve(records, progress)
+    fit = _solve(records)
     doubtful, unknown = _doubtful(fit), _unknown_words(fit, records)
     known = (*_known_words(fit), *(_pack_words(fit) if records.has_spread else ()))
     return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)
@@ -136,17 +133,14 @@ def _discrepancy(records: FittedRecords, fit: CellFit, cells: int) -> Discrepanc
     return msgspec.structs.replace(left, wander=wander.learn(stack, trajectory, list(typical), cells))
 
 
-def _solve(records: FittedRecords, progress: Callable[[int], None] | None) -> CellFit:
+def _solve(records: FittedRecords) -> CellFit:
     """Fit the cell to packs that are alike or, if the flights make these more probable, to packs in service.
 
     A worn pack among packs that are said to be alike bends the curve of the type: of ten flights with packs that hold
     88 to 101 % the soc was then wrong by 2.1 of its standard deviations. Where packs are alike, more freedom costs.
     """
     effects, own_prior = _freedom(records.bench, records.flights)
-    has_bench = records.bench > 0
-    fit = partial(
-        solve.fit_cell, records.stack, effects, progress=progress, evaluations=EVALUATIONS, has_bench=has_bench
-    )
+    fit = partial(solve.fit_cell, records.stack, effects, evaluations=EVALUATIONS, has_bench=records.bench > 0)
     alike = fit(own_prior=own_prior)
     if not records.has_spread:
         return alike

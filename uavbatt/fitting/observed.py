@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,37 +207,28 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
 
     voltage_sd_V : error of the model where the voltage is flat [V a cell]; timing_sd_s : error of its time [s]
     """
-    fine = [_split(binned(r)) for r in records]
-    rows = max(len(f["time_s"]) for f in fine)
-
-    def padded(key: str) -> Array:
-        return np.stack([np.pad(f[key], (0, rows - len(f[key])), mode="edge") for f in fine], axis=1)
-
-    time_s = padded("time_s")
-    resting = np.abs(padded("current_A")) < IDLE_C_RATE * np.array([r.capacity_Ah for r in records])
-    weight = np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0))
+    at = _side_by_side([_split(binned(r)) for r in records])
+    cells, capacity_Ah = np.array([float(r.cells) for r in records]), np.array([r.capacity_Ah for r in records])
+    ambient_C, start_temp_C = np.array([r.ambient_C for r in records]), np.array([_start_temp(r) for r in records])
+    resting = np.abs(at.current_A) < IDLE_C_RATE * capacity_Ah
+    weight = np.sqrt(np.clip(at.spacing_s / INDEPENDENT_S, 0.0, 1.0))
     weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage shows the OCV at the start
-    real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
-    cells = np.array([float(r.cells) for r in records])
-    slope = np.where(resting, 0.0, padded("slope"))
-    capacity = np.array([r.capacity_Ah for r in records])
-    start_temp = np.array([_start_temp(r) for r in records])
-    ambient = np.array([r.ambient_C for r in records])
+    slope_Vps = np.where(resting, 0.0, at.slope_Vps)
     return Stack(
         names=tuple(r.name for r in records),
         cells=cells,
-        capacity_Ah=capacity,
-        time_s=time_s,
-        dt_s=np.vstack([np.zeros(len(records)), np.diff(time_s, axis=0)]),
-        current_A=padded("current_A"),
-        voltage_V=padded("voltage_V"),
-        temp_C=padded("temp_C"),
-        compare=real,
-        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope),
-        slope_Vps=slope,
+        capacity_Ah=capacity_Ah,
+        time_s=at.time_s,
+        dt_s=np.vstack([np.zeros(len(records)), np.diff(at.time_s, axis=0)]),
+        current_A=at.current_A,
+        voltage_V=at.voltage_V,
+        temp_C=at.temp_C,
+        compare=at.is_real,
+        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope_Vps),
+        slope_Vps=slope_Vps,
         weight=weight,
-        start_temp_C=start_temp,
-        ambient_C=np.where(np.isfinite(ambient), ambient, start_temp),
+        start_temp_C=start_temp_C,
+        ambient_C=np.where(np.isfinite(ambient_C), ambient_C, start_temp_C),
         rested=np.array([abs(r.current_A[0]) / r.capacity_Ah < IDLE_C_RATE for r in records]),
     )
 
@@ -248,8 +240,28 @@ def _start_temp(record: ObservedRecord) -> float:
     return record.ambient_C if np.isfinite(record.ambient_C) else ROOM_C
 
 
-def _split(record: ObservedRecord) -> dict[str, Array]:
-    """Return the rows with steps filled in between them; `real` is 1 at measured rows."""
+class _Rows(NamedTuple):
+    """_Rows holds the rows of a record with steps filled in between them; `is_real` marks the measured ones."""
+
+    time_s: Array
+    is_real: NDArray[np.bool_]
+    voltage_V: Array
+    current_A: Array
+    temp_C: Array
+    slope_Vps: Array  # of the smoothed voltage, without its sign
+    spacing_s: Array  # since the measured row before
+
+
+def _side_by_side(records: list[_Rows]) -> _Rows:
+    """Return the rows of all records [rows, records]; a shorter one is padded with its last row, which is not real."""
+    most, own = max(rows.time_s.size for rows in records), [rows.time_s.size for rows in records]
+    padded = [[np.pad(column, (0, most - column.size), mode="edge") for column in rows] for rows in records]
+    every = _Rows(*(np.stack(columns, axis=1) for columns in zip(*padded, strict=True)))
+    return every._replace(is_real=every.is_real & (np.arange(most)[:, None] < own))
+
+
+def _split(record: ObservedRecord) -> _Rows:
+    """Return the rows of a record with steps of at most LONGEST_STEP_S filled in between them."""
     time_s = record.time_s
     spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])
     pieces = [np.array([time_s[0]])]
@@ -257,21 +269,8 @@ def _split(record: ObservedRecord) -> dict[str, Array]:
         steps = max(1, int(np.ceil((right - left) / LONGEST_STEP_S - 1e-9)))
         pieces.append(left + (right - left) * np.arange(1, steps + 1) / steps)
     grid = np.concatenate(pieces)
-    real = np.isin(grid, time_s).astype(float)
     width = max(3, int(SMOOTH_S / np.median(np.diff(time_s))) | 1)
     smooth = np.convolve(np.pad(record.voltage_V, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
     slope = np.abs(np.gradient(smooth, time_s))
-
-    def at(column: Array) -> Array:
-        out: Array = np.interp(grid, time_s, column)
-        return out
-
-    return {
-        "time_s": grid,
-        "real": real,
-        "voltage_V": at(record.voltage_V),
-        "current_A": at(record.current_A),
-        "temp_C": at(record.temp_C),
-        "slope": at(slope),
-        "spacing": at(spacing),
-    }
+    columns = (record.voltage_V, record.current_A, record.temp_C, slope, spacing)
+    return _Rows(grid, np.isin(grid, time_s), *(np.interp(grid, time_s, column) for column in columns))

@@ -7,7 +7,7 @@ difference in all records at once gives the whole block of the Jacobian.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,31 +169,24 @@ def fit_cell(
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
     start_u: Array | None = None,
-    progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
     has_bench: bool = True,
 ) -> CellFit:
     """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
-    own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots]; progress : is
-    called with 1 at each Jacobian; evaluations : of the residuals, at most; has_bench : False if all are flights.
+    own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots];
+    evaluations : of the residuals, at most; has_bench : False if all are flights.
     """
     slots = prior.cell_slots(effects, fullest_V(stack))
     own_mean, own_sd = _own_prior(stack, own_prior)
     unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, has_bench)
-
-    def jacobian(v: Array) -> Array:
-        slopes = unknowns.jacobian(v)
-        if progress is not None:
-            progress(1)
-        return slopes
-
     start = np.zeros(unknowns.shared + own_mean.size)
     if start_u is not None:
         start[: unknowns.shared] = start_u
     solution = least_squares(
         unknowns.objective,
-        *(start, jacobian),
+        start,
+        jac=unknowns.jacobian,
         loss="soft_l1",
         f_scale=ROBUST_SCALE,
         max_nfev=evaluations,
