@@ -32,6 +32,7 @@ SCATTERED = 5.0  # robust sds: rows of one load lie within them but for one in a
 SMOOTH_S = 30.0  # of the slope: the model is smoother than the turns of an aircraft
 FIRST_READINGS = 8  # temperatures whose median is that of the start: one spike does not move it
 ROOM_C = 22.0  # ambient of a record without any temperature
+FLAT_SD_V = 0.008  # error of the model where the voltage is flat, per cell
 LEAST_ROWS, LEAST_BINS = 10, 3  # fewer bins have no curvature, and fewer rows no scatter
 
 
@@ -198,14 +199,14 @@ def _merged(record: ObservedRecord, index: NDArray[np.intp]) -> ObservedRecord:
     return _mapped(record, mean)
 
 
-def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
+def stack(records: list[ObservedRecord], *, timing_sd_s: float = 6.0) -> Stack:
     """Bin, split and pad the records to the same length, side by side.
 
     The sd of a voltage (`sigma_V`) contains `timing_sd_s` times the slope of the smoothed voltage: near the end a model
     that is late by a few seconds is good, although its error is some volts. `weight` is the share of an independent
     reading in a row.
 
-    voltage_sd_V : error of the model where the voltage is flat [V a cell]; timing_sd_s : error of its time [s]
+    timing_sd_s : error of the model's time [s]
     """
     at = _side_by_side([_split(binned(r)) for r in records])
     cells, capacity_Ah = np.array([float(r.cells) for r in records]), np.array([r.capacity_Ah for r in records])
@@ -224,7 +225,7 @@ def stack(records: list[ObservedRecord], *, voltage_sd_V: float = 0.008, timing_
         voltage_V=at.voltage_V,
         temp_C=at.temp_C,
         compare=at.is_real,
-        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope_Vps),
+        sigma_V=np.hypot(FLAT_SD_V * cells, timing_sd_s * slope_Vps),
         slope_Vps=slope_Vps,
         weight=weight,
         start_temp_C=start_temp_C,

@@ -150,13 +150,13 @@ def innovation_sd(innovation_V: Array, nis: Array, temp_C: Array, reach: int = 1
     return np.where(np.isfinite(innovation_V) & (greatest > 0.0), greatest, math.nan)
 
 
-def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Array, ...]:
+def thinned(time_s: Array, *columns: Array) -> tuple[Array, ...]:
     """Thin `time_s` and `columns` to the rows with each column's first, least, greatest and last value per bucket."""
     count = time_s.size
-    if count <= 4 * buckets:
+    if count <= 4 * BUCKETS:
         return (time_s, *columns)
     mask = np.zeros(count, dtype=bool)
-    for piece in np.array_split(np.arange(count), buckets):
+    for piece in np.array_split(np.arange(count), BUCKETS):
         mask[piece[[0, -1]]] = True
         for values in columns:
             finite = piece[np.isfinite(values[piece])]
@@ -167,11 +167,11 @@ def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Arr
     return (time_s[mask], *(c[mask] for c in columns))
 
 
-def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tuple[Array, Array, Array]:
+def outer(time_s: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Thin a band to one value a bucket: the least of `low`, the greatest of `high`, gaps where all is NaN."""
-    if time_s.size <= 2 * buckets:
+    if time_s.size <= 2 * BUCKETS:
         return time_s, low, high
-    pieces = np.array_split(np.arange(time_s.size), buckets)
+    pieces = np.array_split(np.arange(time_s.size), BUCKETS)
     middle = np.array([time_s[p].mean() for p in pieces])
     lows = np.array([np.min(low[p], initial=math.inf, where=np.isfinite(low[p])) for p in pieces])
     highs = np.array([np.max(high[p], initial=-math.inf, where=~np.isnan(high[p])) for p in pieces])

@@ -19,6 +19,7 @@ from scipy.special import betaincinv, ndtr
 from uavbatt.records import Z90
 
 FloatArray = NDArray[np.float64]
+TAIL = 0.5 * (1.0 - 0.95)  # probability beyond each end of a 95 % interval
 
 
 def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
@@ -61,11 +62,10 @@ def mass_within(a: ArrayLike, b: ArrayLike, lo: ArrayLike, median: ArrayLike, hi
     return np.nan_to_num(cdf(b) - cdf(a), nan=0.0)
 
 
-def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a share of `hits` in `trials`; (0, 1) without trials."""
-    tail = (1.0 - confidence) / 2.0
-    low = float(betaincinv(hits, trials - hits + 1, tail)) if hits > 0 else 0.0
-    high = float(betaincinv(hits + 1, trials - hits, 1.0 - tail)) if hits < trials else 1.0
+def binomial_interval(hits: int, trials: int) -> tuple[float, float]:
+    """Return the 95 % Clopper-Pearson interval of a share of `hits` in `trials`; (0, 1) without trials."""
+    low = float(betaincinv(hits, trials - hits + 1, TAIL)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, trials - hits, 1.0 - TAIL)) if hits < trials else 1.0
     return low, high
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
+from uavbatt.battery.powers import UNKNOWN, power, terms
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
@@ -132,9 +132,9 @@ def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
     return place, (leg.end.north_m - leg.begin.north_m, leg.end.east_m - leg.begin.east_m, leg.rise_m)
 
 
-def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:
-    """Return the power of an aircraft that asks `hover_W` [W] in hover, otherwise of this shape."""
-    powers = replace(shape, hover_W=hover_W)
+def watts_of(hover_W: float) -> Watts:
+    """Return the power of an unknown aircraft that asks `hover_W` [W] in hover."""
+    powers = replace(UNKNOWN, hover_W=hover_W)
 
     def watts(airspeed_ms: float, climb_ms: float, phase: Phase) -> float:
         columns = terms(airspeed_ms, climb_ms, phase is Phase.TAKE_OFF, phase is Phase.LANDING, powers.induced_ms)

@@ -64,22 +64,20 @@ def write_tlog(
     parameters: Mapping[str, float] | None = None,
     *,
     battery_id: int = 0,
-    system_id: int = 1,
     epoch_us: int = EPOCH_US,
     route: Iterable[tuple[float, Any]] = (),
     mode_at: Callable[[float], int] = lambda time_s: 0,
     is_px4: bool = False,
 ) -> None:
-    """Write `samples` and the vehicle's `parameters` to `path` as a tlog.
+    """Write `samples` and the vehicle's `parameters` to `path` as a tlog of system 1, component 1 (the autopilot).
 
     battery_id : BATTERY_STATUS.id, 0..8 for ground stations
-    system_id : source system of every frame; the source component is 1 (the autopilot)
     epoch_us : wall time of time_s = 0 [us since 1970]
     route : messages of route and place with their times [s], ascending (`route_writer`)
     mode_at : number of the autopilot's mode at a time [s]
     is_px4 : the autopilot is a PX4, else an ArduCopter
     """
-    encoder: Any = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    encoder: Any = common.MAVLink(None, srcSystem=1, srcComponent=1)
     with atomic_write(path, "wb") as file:
 
         def put(message: Any, time_us: int) -> None:
