@@ -123,7 +123,7 @@ def test_energy_balance_of_a_cell_without_cooling() -> None:
     p = generic()._replace(cooling_WpKAh=1e-9, airflow_gain_h=0.0)
     state, loss_J, dt_s = model.rested(0.9, 25.0), 0.0, 0.1
     for _ in range(3000):
-        after = model.step(p, state, 3.0, 25.0, dt_s)
+        after = model.step(p, state, 3.0, 25.0, dt_s, model.lags(p, dt_s))
         loss_J += 3.0 * float(model.open_circuit_voltage(p, state.soc) - model.cell_voltage(p, state, 3.0)) * dt_s
         state = after
     assert (float(state.core_C) - 25.0) * p.heat_capacity_JpKAh == pytest.approx(loss_J, rel=1e-6)
@@ -204,7 +204,7 @@ def test_open_loop_simulation_equals_stepping() -> None:
     run = simulate(p, model.rested(np.array([0.95]), np.array([20.0])), rate, dt_s, np.array([20.0]))
     state = model.rested(0.95, 20.0)
     for k in range(50):
-        state = model.step(p, state, float(rate[k, 0]), 20.0, 2.0) if k else state
+        state = model.step(p, state, float(rate[k, 0]), 20.0, 2.0, model.lags(p, 2.0)) if k else state
         assert run.voltage_V[k, 0] == pytest.approx(float(model.cell_voltage(p, state, float(rate[k, 0]))))
     assert run.soc[-1, 0] == pytest.approx(0.95 - float(rate[1:].sum()) * 2.0 / 3600.0)
 

@@ -151,7 +151,7 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
         if k % 2 == 0 and (k < 800 or k >= 920):
             volts = 4.0 * float(model.cell_voltage(cell, state, amps / 5.0))
             rows.append(Sample(k / 2.0, volts, amps, 20.0, min(k, 800) * 6.0 / 3600.0, armed=k < 800))
-        state = model.step(cell, state, amps / 5.0, 20.0, 0.5)
+        state = model.step(cell, state, amps / 5.0, 20.0, 0.5, model.lags(cell, 0.5))
     bench.play(rows[:400])
     landed = bench.daemon.board.reports[0].estimate
     bench.now_s += 60.0

@@ -11,7 +11,7 @@ from factories import generic_pack
 from uavbatt import Estimator, Sample
 from uavbatt.prediction.load import ConstantLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft
-from uavbatt.prediction.take_off import FORGOTTEN_S, AtTakeOff, before_take_off, is_open
+from uavbatt.prediction.take_off import FORGOTTEN_S, AtTakeOff, is_open, load_before_take_off
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import Remaining
 
@@ -58,9 +58,9 @@ def test_the_power_that_is_flown_takes_over_from_the_one_that_was_expected() -> 
 def test_only_a_load_that_nobody_states_is_expected() -> None:
     assert is_open(UnknownAircraft()) and not is_open(RecentMean()) and not is_open(ConstantLoad(300.0, 0.04))
     pack = generic_pack()
-    assert before_take_off(ConstantLoad(300.0, 0.04), pack) == ConstantLoad(300.0, 0.04)
+    assert load_before_take_off(ConstantLoad(300.0, 0.04), pack) == ConstantLoad(300.0, 0.04)
     larger = generic_pack(capacity_Ah=10.0)
-    small_W, large_W = (before_take_off(UnknownAircraft(), p).typical_W(None) for p in (pack, larger))  # type: ignore[arg-type]
+    small_W, large_W = (load_before_take_off(UnknownAircraft(), p).typical_W(None) for p in (pack, larger))  # type: ignore[arg-type]
     assert large_W == pytest.approx(2.0 * small_W)
 
 

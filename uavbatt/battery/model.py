@@ -178,34 +178,26 @@ class Lags(NamedTuple):
 
 def lags(p: Parameters, dt_s: Number) -> Lags:
     """Return the decay of each lag over a step of `dt_s` [s]."""
-    cell = cell_lags(p, dt_s)
-    return Lags(cell.polarisation, cell.diffusion, cell.core, eq.decay(dt_s, p.sensor_lag_s))
-
-
-def cell_lags(p: Parameters, dt_s: Number) -> Lags:
-    """Return `lags` with the sensor's left at 1, for `step_cell`, which leaves the sensor as it is."""
     return Lags(
         eq.decay(dt_s, p.polarisation_tau_s),
         eq.decay(dt_s, p.diffusion_tau_s),
         eq.decay(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
-        1.0,
+        eq.decay(dt_s, p.sensor_lag_s),
     )
 
 
-def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
-    """Return the state after one step with the current held; keep the step under LONGEST_STEP_S (see `advance`)."""
-    return step_with_decay(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
+def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
+    """Return the state after one step with the current held; `lags` are those of `dt_s` [s].
 
-
-def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
-    """Return `step` with known lags of `dt_s`."""
+    Keep the step under LONGEST_STEP_S (see `advance`).
+    """
     return step_with_resistance(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
 
 
 def step_with_resistance(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """Return `step` with known lags of `dt_s` and a known resistance [ohm·Ah]."""
+    """Return `step` with a known resistance [ohm·Ah]."""
     later = step_cell(p, s, UnderLoad(c_rate, transfer_drop(p, c_rate)), r_ohmAh, ambient_C, dt_s, lags)
     sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
@@ -265,5 +257,5 @@ def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: fl
 def advance_by(p: Parameters, s: State, c_rate: Number, ambient_C: Number, over: Stride) -> State:
     """Return `advance` with a known stride."""
     for _ in range(over.steps):
-        s = step_with_decay(p, s, c_rate, ambient_C, over.dt_s, over.lags)
+        s = step(p, s, c_rate, ambient_C, over.dt_s, over.lags)
     return s

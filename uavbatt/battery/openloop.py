@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.equations import Number
-from uavbatt.battery.model import Array, Parameters, State, cell_voltage, lags, step_with_decay
+from uavbatt.battery.model import Array, Parameters, State, cell_voltage, lags, step
 
 States = Callable[[Parameters, State, Array, Array, Number], State]
 
@@ -45,7 +45,7 @@ def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: N
         if not np.array_equal(dt_s[k], known_s):  # most steps are as long as the one before
             known, known_s = lags(p, dt_s[k]), dt_s[k]
         if k:
-            state = step_with_decay(p, state, c_rate[k], ambient_C, dt_s[k], known)
+            state = step(p, state, c_rate[k], ambient_C, dt_s[k], known)
         for column, value in zip(out, state, strict=True):
             column[k] = value
     return out

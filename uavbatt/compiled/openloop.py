@@ -64,7 +64,7 @@ def walk(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Arr
             if dt_s[j, k] != lags_s:
                 lags, lags_s = model.lags(cell, dt_s[j, k]), dt_s[j, k]
             if k > 0:
-                s = model.step_with_decay(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k], lags)
+                s = model.step(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k], lags)
             out[0, j, k], out[1, j, k], out[2, j, k] = s.soc, s.polarisation_V, s.diffusion_V
             out[3, j, k], out[4, j, k] = s.core_C, s.sensor_C
     return out

@@ -85,9 +85,7 @@ class Step(NamedTuple):
 
     def at(self, k: int) -> Step:
         """Return step `k` of many, as 0-d arrays like MET_AT_EVERY_STEP."""
-        polarisation, diffusion, core, sensor = self.lags
-        lags = Lags(polarisation[k, ...], diffusion[k, ...], core[k, ...], sensor)
-        return Step(self.dt_s[k], lags, self.gained_V2[k, ...])
+        return Step(self.dt_s[k], Lags(*(lag[k, ...] for lag in self.lags)), self.gained_V2[k, ...])
 
 
 def start_draws(flying: Flying) -> FlyingDraws:
@@ -118,7 +116,7 @@ def mean_cell_V(draws: FlyingDraws, at: Source, under: UnderLoad) -> Array:
 
 def step_over(draws: FlyingDraws, dt_s: Number) -> Step:
     """Return the step of `dt_s` [s], or many of them, [steps]."""
-    return Step(dt_s, model.cell_lags(draws.cell, dt_s), bias_variance(draws.pack, dt_s))
+    return Step(dt_s, model.lags(draws.cell, dt_s), bias_variance(draws.pack, dt_s))
 
 
 def stepped(draws: FlyingDraws, at: Source, under: UnderLoad, step: Step, normals: Array) -> FlyingDraws:

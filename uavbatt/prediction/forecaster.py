@@ -32,7 +32,7 @@ from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
+from uavbatt.prediction.take_off import AtTakeOff, is_open, load_before_take_off
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
@@ -209,7 +209,7 @@ class Forecaster:
 
     def _before_any_flight(self) -> Forecaster:
         """Return a forecaster of the same pack without a past, whose load is as it is known on the ground."""
-        settings = replace(self.settings, load=before_take_off(self.settings.load, self.pack))
+        settings = replace(self.settings, load=load_before_take_off(self.settings.load, self.pack))
         return Forecaster(self.pack.at_weakest_cell(self.cell_spread_V), settings)
 
     def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff | None:

@@ -70,7 +70,7 @@ def is_open(load: Load) -> bool:
     return isinstance(load, LearnedLoad | UnknownAircraft)
 
 
-def before_take_off(load: Load, pack: Pack) -> Load:
+def load_before_take_off(load: Load, pack: Pack) -> Load:
     """Return the load as it is known on the ground: a stated power, past flights, else one by the pack's size."""
     if isinstance(load, ConstantLoad):
         return load
