@@ -16,14 +16,12 @@ def checked_samples(samples: Iterable[Sample]) -> list[Sample]:
 
     Raises UsageError, which names the field, for a value that is no Sample, or whose fields are no numbers.
     """
-    return [_checked(sample) for sample in samples]
-
-
-def _checked(sample: object) -> Sample:
-    if not isinstance(sample, Sample):
-        raise UsageError(f"sample={sample!r:.60}: expected a Sample(time_s, voltage_V, current_A)")
-    for name in NUMBERS:
-        value = getattr(sample, name)
-        if type(value) is not float:  # the usual case, and much quicker than a check of what can become one
-            checked_number(f"sample.{name}=", value)
-    return sample
+    found = list(samples)
+    for sample in found:
+        if not isinstance(sample, Sample):
+            raise UsageError(f"sample={sample!r:.60}: expected a Sample(time_s, voltage_V, current_A)")
+        for name in NUMBERS:
+            value = getattr(sample, name)
+            if type(value) is not float:  # the usual case, and much quicker than a check of what can become one
+                checked_number(f"sample.{name}=", value)
+    return found

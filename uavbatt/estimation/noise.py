@@ -29,7 +29,7 @@ ROUNDS = 6
 UNKNOWN_TEMP_SD_K = 10.0
 # The current of a row stands for an interval in which the load changed: the charge is uncertain by 6 % for rows 1 s
 # apart or less (averaging logger), by 15 % for rows 10 s apart or more (snapshots of a gusty load).
-SNAPSHOT_SHARE = (0.06, 0.15)
+AVERAGED_SHARE, SNAPSHOT_SHARE = 0.06, 0.15
 # The scales of resistance and capacity wander by 1 % in ten minutes. The state of health does not change in a flight,
 # but the error of the model's R(soc, T) and OCV does.
 RESISTANCE_WALK_PER_S = 0.01**2 / 600.0
@@ -61,13 +61,10 @@ JUMP_SHARE = 2.0
 COMPENSATED_SHARE = 0.35
 
 
-def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
-    """Interpolate a share for rows `dt_s` [s] apart: `shares` holds that for 1 s or less and that for 10 s or more.
-
-    It is linear in the logarithm of the time between rows.
-    """
+def charge_share(dt_s: float) -> float:
+    """Return the relative sd of the charge drawn in a step of `dt_s` [s]; linear in the logarithm of the step."""
     weight = min(max(math.log10(max(dt_s, 1e-3)), 0.0), 1.0)
-    return shares[0] + (shares[1] - shares[0]) * weight
+    return AVERAGED_SHARE + (SNAPSHOT_SHARE - AVERAGED_SHARE) * weight
 
 
 class FirstBelief(NamedTuple):
@@ -131,7 +128,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap it is not known if the load
     went on; this uncertainty is included.
     """
-    share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
+    share = math.hypot(charge_share(dt_s), pack.guess_sd)
     q = np.zeros(mean.shape)
     q[X.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
     if dt_s > LONGEST_GAP_S:

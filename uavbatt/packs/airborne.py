@@ -5,14 +5,13 @@ The rows are means over ROW_S (half an hour: 900 rows of 40 bytes) and are delet
 
 from __future__ import annotations
 
-import math
 import sqlite3
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.rows import reading
-from uavbatt.records import NAN, Sample
+from uavbatt.packs.rows import column_value, known_or_nan, reading
+from uavbatt.records import Sample
 
 ROW_S = 2.0
 
@@ -42,7 +41,7 @@ class UnfinishedFlight(NamedTuple):
 
 def store_flight(ledger: Ledger, flight: Airborne) -> int:
     """Store a flight that has begun; return the number under which it is kept."""
-    row = (flight.name, _none_if_nan(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
+    row = (flight.name, column_value(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
     with ledger.writing() as connection:
         found = connection.execute(
             "INSERT INTO airborne (name, start_utc_s, cells, capacity_Ah, cycles) VALUES (?, ?, ?, ?, ?)", row
@@ -52,7 +51,7 @@ def store_flight(ledger: Ledger, flight: Airborne) -> int:
 
 def store_rows(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
     """Append rows to a flight; their times count from its start [s]."""
-    values = [(number, r.time_s, r.voltage_V, _none_if_nan(r.current_A), _none_if_nan(r.temp_C)) for r in rows]
+    values = [(number, r.time_s, r.voltage_V, column_value(r.current_A), column_value(r.temp_C)) for r in rows]
     with ledger.writing() as connection:
         connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
 
@@ -72,20 +71,12 @@ def delete_flight(ledger: Ledger, number: int) -> None:
 
 def _left_over(connection: sqlite3.Connection, row: sqlite3.Row) -> UnfinishedFlight:
     with reading(row):
-        pack = Airborne(row["name"], _nan_if_none(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
+        pack = Airborne(row["name"], known_or_nan(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
         return UnfinishedFlight(int(row["id"]), pack, _rows(connection, int(row["id"])))
 
 
 def _rows(connection: sqlite3.Connection, number: int) -> tuple[Sample, ...]:
     found = connection.execute("SELECT * FROM rows WHERE flight = ? ORDER BY time_s", (number,))
     return tuple(
-        Sample(r["time_s"], r["voltage_V"], _nan_if_none(r["current_A"]), _nan_if_none(r["temp_C"])) for r in found
+        Sample(r["time_s"], r["voltage_V"], known_or_nan(r["current_A"]), known_or_nan(r["temp_C"])) for r in found
     )
-
-
-def _none_if_nan(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _nan_if_none(value: float | None) -> float:
-    return NAN if value is None else value

@@ -135,8 +135,7 @@ class Ledger:
         start_utc_s : [s since 1970]; NaN if no clock was set. Such flights come after all others, in the order in which
         they were saved.
         """
-        start = start_utc_s if math.isfinite(start_utc_s) else None
-        return self._one(BEFORE, {"name": name, "key": key, "start": start})
+        return self._one(BEFORE, {"name": name, "key": key, "start": rows.column_value(start_utc_s)})
 
     def _one(self, query: str, values: dict[str, object]) -> LedgerFlight | None:
         with self._named_errors():

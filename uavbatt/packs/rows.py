@@ -40,7 +40,7 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
     row = asdict(flight)
     row.pop("told")
     row.update({f"told_{name}": value for name, value in flight.told._asdict().items()})
-    return {name: _column_value(value) for name, value in row.items()}
+    return {name: column_value(value) for name, value in row.items()}
 
 
 def flight_of(row: sqlite3.Row) -> FlightRecord:
@@ -79,7 +79,7 @@ def pack_row(pack: PackRow) -> dict[str, Any]:
     """Return the columns of a pack."""
     row = {"name": pack.name, "cells": pack.cells, "rated_Ah": pack.rated_Ah, "type_ohm": pack.type_ohm}
     row |= {"last_utc_s": pack.last_utc_s, **asdict(pack.outlook), "findings": findings_text(pack.findings)}
-    return {name: _column_value(value) for name, value in row.items()}
+    return {name: column_value(value) for name, value in row.items()}
 
 
 def pack_of(row: sqlite3.Row) -> PackRow:
@@ -87,9 +87,10 @@ def pack_of(row: sqlite3.Row) -> PackRow:
     with reading(row):
         outlook = {name: row[name] for name in OUTLOOK}
         outlook |= {name: math.inf for name in RETIRE if row[name] is None}
-        last_utc_s = NAN if row["last_utc_s"] is None else float(row["last_utc_s"])
         size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]))
-        return PackRow(row["name"], *size, last_utc_s, Outlook(**outlook), findings_of(row["findings"]))
+        return PackRow(
+            row["name"], *size, known_or_nan(row["last_utc_s"]), Outlook(**outlook), findings_of(row["findings"])
+        )
 
 
 def findings_text(findings: tuple[PackFinding, ...]) -> str:
@@ -102,5 +103,11 @@ def findings_of(text: str) -> tuple[PackFinding, ...]:
     return tuple(PackFinding(**entry) for entry in json.loads(text)) if text else ()
 
 
-def _column_value(value: Any) -> Any:
+def column_value(value: Any) -> Any:
+    """Return a value as its column holds it: NaN and infinity are NULL."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def known_or_nan(value: float | None) -> float:
+    """Return the number of a column; NaN where it is NULL."""
+    return NAN if value is None else float(value)
