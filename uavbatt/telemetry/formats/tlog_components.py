@@ -35,7 +35,7 @@ class LoggedComponents(NamedTuple):
 def battery_sources(found: FrameTable) -> set[int]:
     """Return the sources that say by a heartbeat that they are batteries and that send BATTERY_STATUS."""
     beating = found.of(fields.HEARTBEAT)
-    is_battery = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_battery)
+    is_battery = tlog_payloads.heartbeats(beating, fields.is_battery)
     return set(beating.source[is_battery].tolist()) & set(found.of(fields.BATTERY_STATUS).source.tolist())
 
 
@@ -53,12 +53,8 @@ def battery_components(found: FrameTable, autopilot: int) -> LoggedComponents:
     place = found.places(fields.BATTERY_STATUS)
     place = place[np.isin(found.source[place], list(sources))]
     early = set(found.source[place[place < first_told]].tolist())
-    kind = tlog_payloads.KINDS[fields.BATTERY_STATUS]
-    said = [*zip(
-        found.source[place].tolist(),
-        kind.messages(found.at(place).payloads(kind.layout.itemsize)).instance.tolist(),
-        strict=True,
-    )]  # fmt: skip
+    numbers = tlog_payloads.KINDS[fields.BATTERY_STATUS].messages(found.at(place)).instance
+    said = [*zip(found.source[place].tolist(), numbers.tolist(), strict=True)]
     owners: dict[int, int] = {}
     for source, number in dict.fromkeys(said):
         if source in early and number not in told:
@@ -76,6 +72,6 @@ def _told(found: FrameTable, autopilot: int) -> Iterator[tuple[int, int]]:
     for message_id, kind in tlog_payloads.KINDS.items():
         place = found.places(message_id)
         place = place[found.source[place] == autopilot]
-        said = kind.messages(found.at(place).payloads(kind.layout.itemsize))
+        said = kind.messages(found.at(place))
         for number in set(said.instance[said.voltage_V > 0.0].tolist()):
             yield number, int(place[(said.instance == number) & (said.voltage_V > 0.0)][0])
