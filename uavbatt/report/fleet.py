@@ -144,8 +144,8 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
         "one flight the capacity is hardly visible: its scale stays near 1 unless flights go deep, and an aged pack "
         "shows first as resistance."
     )
-    more = [paragraph(f"Drawn: the {len(first_groups)} that changed most; {hidden} more in the table.", css="quiet")]
-    return [paragraph(explained), *figures, *(more if hidden else []), _folded(head, rows)]
+    more = f"Drawn: the {len(first_groups)} that changed most; {hidden} more in the table." if hidden else ""
+    return [paragraph(explained), *figures, paragraph(more, css="quiet"), _folded(head, rows)]
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
@@ -181,12 +181,11 @@ def _look(overview: Overview) -> list[Html]:
     ]
     more = overview.looked - len(overview.look)
     by_count = sorted(overview.reasons.items(), key=lambda one: -one[1])
-    parts = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
-    parts.append(table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)))
-    if more > 0:
-        words = f"Those that need it most; {more} more in flights.csv, column `look`."
-        parts.append(paragraph(words, css="quiet"))
-    return parts
+    return [
+        bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS]),
+        table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)),
+        paragraph(f"Those that need it most; {more} more in flights.csv, column `look`." if more else "", css="quiet"),
+    ]
 
 
 def _failed(overview: Overview) -> Html:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile, Certificate
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow
@@ -48,6 +48,7 @@ STATUS_WORDS = {
     "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
     "edited": "Edited: not what was sealed, or failed at its gate; let through by the caller, nobody vouches for it.",
 }
+MOST_CLAIMS = 8  # rows of a table that needs no fold
 MOST_WARNINGS = 20  # different ones; the JSON Lines hold all
 SHOWN_AS = {
     Status.REFUSED: "refused (hatched)", Status.CONVERGING: "converging (shaded)", Status.STALE: "gap (left blank)",
@@ -164,7 +165,7 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     certificate = battery.certificate
     validated = certificate.validated_ambient_C
     span = f"{min(validated):g} to {max(validated):g} °C" if validated else "none"
-    parts = [
+    return [
         paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}"),
         facts(
             (
@@ -179,18 +180,22 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
                 ("file content", certificate.content_sha256[:16] or UNKNOWN),
             )
         ),
+        _claims(certificate, resolved.status),
+        *_notes("Remarks in the battery file", battery.battery.remarks),
     ]
-    if certificate.verdicts:
-        body = [
-            (v.claim, UNKNOWN if v.ambient_C is None else f"{v.ambient_C:+g} °C", badge(v.verdict), v.reason)
-            for v in certificate.verdicts
-        ]
-        claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
-        parts.append(claims if len(body) <= 8 else details(f"{len(body)} claims of the certificate", claims))
-    else:
-        why = "what it claimed was of other content" if resolved.status == "edited" else "nothing was put to a gate"
-        parts.append(paragraph(f"The certificate makes no claim: {why}."))
-    return [*parts, *_notes("Remarks in the battery file", battery.battery.remarks)]
+
+
+def _claims(certificate: Certificate, status: str) -> Html:
+    """Return the claims of the certificate with their verdicts; more than MOST_CLAIMS are folded."""
+    if not certificate.verdicts:
+        why = "what it claimed was of other content" if status == "edited" else "nothing was put to a gate"
+        return paragraph(f"The certificate makes no claim: {why}.")
+    body = [
+        (v.claim, UNKNOWN if v.ambient_C is None else f"{v.ambient_C:+g} °C", badge(v.verdict), v.reason)
+        for v in certificate.verdicts
+    ]
+    claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
+    return claims if len(body) <= MOST_CLAIMS else details(f"{len(body)} claims of the certificate", claims)
 
 
 def _log(flight: Flight, outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[Html]:

@@ -67,14 +67,13 @@ def _answer(plan: MissionPlan) -> Html:
         f"Touchdown after {duration(route.left_s)} {charge if math.isfinite(route.soc) else 'is not reached'}."
     )
     spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
-    turn = []
+    turn = ""
     if here.no_way_home:
-        turn = [paragraph(strong(f"{here.no_way_home}."))]
+        turn = strong(f"{here.no_way_home}.")
     elif math.isfinite(route.turn_back_lo_s):
-        words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
-        turn = [paragraph(strong(words))]
+        turn = strong(f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %.")
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
-    return answer(first, *turn, end, spare, quiet, mood="good" if here.fits else "bad")
+    return answer(first, paragraph(turn), end, spare, quiet, mood="good" if here.fits else "bad")
 
 
 def _charge(plan: MissionPlan) -> Html:

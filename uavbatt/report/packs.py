@@ -45,15 +45,17 @@ def packs_report(
         f"Packs of {ledger}",
         "uavbatt packs",
         _headline(in_order),
-        *(
-            [contents("All packs", *(pack.name for pack, flights in histories if flights))]
-            if len(histories) > MOST_UNLISTED
-            else []
-        ),
+        _contents(histories),
         section("All packs", _side_by_side(in_order), _table(in_order)),
         *(_of_one(pack, flights) for pack, flights in histories),
         footer="Bands: 5 % to 95 %.",
     )
+
+
+def _contents(histories: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]) -> Html:
+    if len(histories) <= MOST_UNLISTED:
+        return Html("")
+    return contents("All packs", *(pack.name for pack, flights in histories if flights))
 
 
 def _headline(packs: Sequence[PackRow]) -> Html:
