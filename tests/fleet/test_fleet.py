@@ -24,8 +24,9 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
-from uavbatt.fleet.fly import Job, _reasons, fly_log
+from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
+from uavbatt.fleet.look import reasons, urgency
 from uavbatt.fleet.row import LOST, FlightRow, row_of
 from uavbatt.simulate.flight import SimulatedFlight, write_log
 from uavbatt.simulate.flight import simulate_flight as simulated
@@ -265,6 +266,6 @@ def test_a_flight_is_looked_at_from_one_bound_on_and_says_why(
         "refused_share": 0.0, "mean_nis": 1.0, "resistance_scale": 1.0, "resistance_scale_sd": 0.1,
         "error_120_s": 0.0, "inside_120": False,
     }  # fmt: skip
-    assert _reasons(FlightRow(**{**ordinary, **near}), ()) == []
-    (reason,) = _reasons(FlightRow(**{**ordinary, **beyond}), ())
-    assert reason.startswith(words)
+    assert reasons(FlightRow(**{**ordinary, **near}), ()) == []
+    (reason,) = reasons(FlightRow(**{**ordinary, **beyond}), ())
+    assert reason.startswith(words) and urgency(FlightRow(file="a.tlog", look=reason)) > 0.0
