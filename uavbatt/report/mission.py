@@ -57,7 +57,7 @@ def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
     first = paragraph(
         f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
-        f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
+        f"battery ends before touchdown is {_spaced(here.risk_text)} (at most {percent(IN_TIME)} is allowed).",
     )
     charge = (
         f"with {percent(route.soc)} of the charge, probably between {percent(route.soc_lo)} and "
@@ -117,17 +117,22 @@ def _temperatures(plan: MissionPlan) -> Html:
 
 def _row(fit: RouteFit) -> tuple[str, ...]:
     route = fit.route
-    risk, turn = f"{route.risk:.0%}", clock(route.turn_back_lo_s)
-    fits = "yes" if fit.fits else "no"
+    fits, risk, turn = "yes" if fit.fits else "no", _spaced(fit.risk_text), clock(route.turn_back_lo_s)
     return (celsius(fit.ambient_C), fits, risk, percent(route.soc), clock(fit.spare_s), turn, fit.remark)
+
+
+def _spaced(percentage: str) -> str:
+    """Return a percentage as a page writes it: `5 %`."""
+    return percentage.replace("%", " %")
 
 
 def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
     powers, wind = plan.planned.powers, plan.planned.wind
     from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
     speed_ms = math.hypot(wind.north_ms, wind.east_ms)
+    flights = f"{powers.flights} flight{'s' * (powers.flights != 1)}"
     return [
         *pack_facts(plan.resolved),
-        ("vehicle", f"hover {powers.hover_W:.0f} W ± {powers.level_sd:.0%}, learned from {powers.flights} flights"),
+        ("vehicle", f"hover {powers.hover_W:.0f} W ± {percent(powers.level_sd)}, learned from {flights}"),
         ("wind", f"{speed_ms:.1f} m/s from {from_deg:.0f}°" if speed_ms > 0.0 else "none"),
     ]
