@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt.dataset import Run
 from uavbatt.report import plot
-from uavbatt.report.page import Html, celsius, figure, missing_figure, sentence
+from uavbatt.report.page import Html, celsius, figure, missing_figure, percent, sentence
 from uavbatt.report.validation_page import Array, ValidationPage
 from uavbatt.validation.judging.corridor import Corridor, time_corridor
 from uavbatt.validation.judging.crossing import crossing_time
@@ -140,7 +140,7 @@ def departures(page: ValidationPage, band: Corridor, model: Array | None) -> Htm
             axes.plot(page.model.time_s / 60.0, gap, "x", color=plot.RED, markersize=6, label="model, held out")
         _frame(axes, band, scale)
 
-    share_words = f" Of genuine curves {band.covers_all:.0%} stay inside mean ± C at every instant."
+    share_words = f" Of genuine curves {percent(band.covers_all)} stay inside mean ± C at every instant."
     cut = " Curves that leave the drawing lie further out."
     alt = "Deviations of runs and model from the mean of the tests, with three bands."
     note = "Blue: the repeated tests." + (share_words if math.isfinite(band.covers_all) else "") + cut

@@ -34,6 +34,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     scrolled,
     section,
     sentence,
@@ -100,7 +101,7 @@ def _suspect(one: EffectClass, several: bool) -> Html:
         value, lo, hi = (number(scale * v, decimals) for v in (i.value, i.lo, i.hi))
         rows.append((QUANTITY.get(quantity, quantity), value, f"{lo} to {hi}", unit, quantity))
     cause, these = "One cause" if several else "The cause", "among these" if one.members[1:] else "this"
-    sure = f"{cause} is {these} with a probability of {one.probability:.0%}."
+    sure = f"{cause} is {these} with a probability of {percent(one.probability)}."
     head = ("if it is so", "value", "95 % interval", "unit", "in the file")
     return element("div", *suspect(one.members, "", sure, "records"), table(head, rows, text_columns=(0, 3, 4)))
 

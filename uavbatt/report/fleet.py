@@ -213,7 +213,7 @@ def _accuracy(overview: Overview) -> list[Html]:
             (
                 label, str(forecasts), _mean_and_error(absolute), _mean_and_error(errors, sign=True),
                 number(float(np.median(absolute)) if len(errors) else math.nan, 0),
-                f"{overview.inside[key]} ({overview.inside[key] / forecasts:.0%})", str(overview.refused[key]),
+                f"{overview.inside[key]} ({percent(overview.inside[key] / forecasts)})", str(overview.refused[key]),
             )
         )  # fmt: skip
     if not rows:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from uavbatt.fleet.look import urgency
 from uavbatt.fleet.row import FlightRow
+from uavbatt.report.page import percent
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4  # a line through fewer leaves too little to judge its own scatter by
@@ -72,12 +73,12 @@ def verdict(group: Group, resistance: Change | None, capacity: Change | None) ->
     if resistance is None or capacity is None:
         return AgeingVerdict("cannot tell", "too few flights")
     if resistance.is_certain and resistance.difference > 0.0:
-        return AgeingVerdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
+        return AgeingVerdict("grown", f"ohms grown by {percent(resistance.difference / resistance.early)}")
     if capacity.is_certain and capacity.difference < 0.0:
-        return AgeingVerdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
+        return AgeingVerdict("lost", f"capacity lost: {percent(-capacity.difference / capacity.early)}")
     if resistance.at_most <= STEADY:
-        return AgeingVerdict("steady", f"steady to within {resistance.at_most:.0%}")
-    return AgeingVerdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
+        return AgeingVerdict("steady", f"steady to within {percent(resistance.at_most)}")
+    return AgeingVerdict("cannot tell", f"cannot tell: growth below {percent(resistance.visible)} is not visible")
 
 
 @dataclass(slots=True)

@@ -35,6 +35,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     sentence,
     table,
@@ -118,7 +119,7 @@ def _refused_words(outcome: Outcome, periods: Sequence[Stretch]) -> str:
     if refused_s <= 0.0:
         return ""
     air = outcome.refused_in_air
-    share = f"{air:.0%} of the rows" if air > 0.0 else "none of it"
+    share = f"{percent(air)} of the rows" if air > 0.0 else "none of it"
     flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
     return f"No forecast was given for {duration(refused_s)} in all{flying}."
 

@@ -11,7 +11,7 @@ from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
-from uavbatt.report.page import Html, figure, missing_figure, number
+from uavbatt.report.page import Html, figure, missing_figure, number, percent
 from uavbatt.report.series import Array, FlightSeries
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
         axes.set_ylim(-reach, reach)
         axis.dress(axes)
 
-    inside = f" {share:.0%} of the innovations lie inside; about 95 % should." if math.isfinite(share) else ""
+    inside = f" {percent(share)} of the innovations lie inside; about 95 % should." if math.isfinite(share) else ""
     with_temp = np.isfinite(rows.temp_C).any()
     from_nis = " The band is recovered from the filter's NIS; with a measured temperature it is a lower bound."
     alt = "Difference of measured and predicted voltage over time with its expected band." + inside

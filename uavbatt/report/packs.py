@@ -22,6 +22,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     table,
 )
@@ -80,9 +81,9 @@ def _table(packs: Sequence[PackRow]) -> Html:
                 pack.name,
                 "; ".join(words),
                 number(outlook.capacity_Ah, 2, "Ah"),
-                f"{outlook.capacity_Ah / pack.rated_Ah:.0%}",
+                percent(outlook.capacity_Ah / pack.rated_Ah),
                 f"{outlook.capacity_lo_Ah:.2f} to {outlook.capacity_hi_Ah:.2f} Ah",
-                f"{outlook.resistance_ohm / pack.type_ohm:.0%}",
+                percent(outlook.resistance_ohm / pack.type_ohm),
                 str(outlook.flights),
                 trend_words(outlook.capacity_trend, outlook.capacity_trend_sd),
             )
@@ -97,7 +98,7 @@ def _side_by_side(packs: Sequence[PackRow]) -> Html:
         return Html("")
 
     def draw(axes: Axes) -> None:
-        axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {RETIRED_AT:.0%}")
+        axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {percent(RETIRED_AT)}")
         for place, pack in enumerate(first_packs):
             outlook, rated = pack.outlook, pack.rated_Ah
             axes.plot([outlook.capacity_lo_Ah / rated, outlook.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)
