@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavbatt.errors import UsageError
+from uavbatt.output import counted
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -89,8 +90,8 @@ def _learned(pack: PackRow, findings: Sequence[PackFinding]) -> LearnedFlight:
     """Return in words what is known of a pack after a flight that was saved, and the findings of that flight."""
     seen = pack.outlook
     capacity = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
-    flights = f"{seen.flights} flight{'s' * (seen.flights != 1)} remembered"
-    known = f"{capacity}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights}"
+    flights = counted(seen.flights, "flight")
+    known = f"{capacity}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights} remembered"
     lines = [f"  pack       {pack.name}: {words}" for words in (known, *(finding.words for finding in findings))]
     kinds = [finding.kind for finding in findings]
     return LearnedFlight(tuple(lines), {"pack": pack.name, "pack_flights": seen.flights, "pack_findings": kinds})

@@ -9,6 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.output import counted
 from uavbatt.packs.dates import date_text
 from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_FILES, MOST_LISTED, Change, Group, Overview, change, verdict
@@ -242,8 +243,3 @@ def _mean(values: NDArray[np.float64]) -> float:
 
 def _whose(groups: Sequence[str]) -> str:
     return groups[0] if len(groups) == 1 else f"{len(groups)} packs or aircraft"
-
-
-def counted(n: int, noun: str) -> str:
-    """Return a count with the name of what is counted, in the plural where there is not one: `3 flights`."""
-    return f"{n} {noun}{'' if n == 1 else 's'}"

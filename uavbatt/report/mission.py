@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uavbatt.output import counted
 from uavbatt.plan.mission import MissionPlan, RouteFit
 from uavbatt.prediction.route_legs import way_points
 from uavbatt.records import IN_TIME
@@ -130,7 +131,7 @@ def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
     powers, wind = plan.planned.powers, plan.planned.wind
     from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
     speed_ms = math.hypot(wind.north_ms, wind.east_ms)
-    flights = f"{powers.flights} flight{'s' * (powers.flights != 1)}"
+    flights = counted(powers.flights, "flight")
     return [
         *pack_facts(plan.resolved),
         ("vehicle", f"hover {powers.hover_W:.0f} W ± {percent(powers.level_sd)}, learned from {flights}"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uavbatt.output import counted
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
 from uavbatt.packs.records import LedgerFlight, PackRow
 from uavbatt.packs.words import retire_words, trend_words
@@ -63,7 +64,7 @@ def _headline(packs: Sequence[PackRow]) -> Html:
     if not packs:
         return answer(paragraph("No packs are remembered yet."), mood="unsure")
     first = packs[0]
-    count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered."
+    count = f"{counted(len(packs), 'pack')} remembered."
     if not math.isfinite(first.outlook.retire_flights):
         return answer(paragraph("No end in sight for any of them."), paragraph(count))
     words = paragraph(f"First to retire: {first.name}, {retire_words(first.outlook)}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from uavbatt.output import counted
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import (
     MOODS,
@@ -69,7 +70,7 @@ def _at_home(v: ValidationPage) -> list[Claim]:
 def _answer(v: ValidationPage) -> Html:
     """Return the verdict in a sentence for pilots, the most important findings, and the limits."""
     serious = sum(f.severity == "serious" for f in v.found.findings)
-    first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
+    first = f"Read first: {counted(serious, 'serious finding')} about the tests themselves, below. "
     limits = "; ".join(f"{name} {value}" for name, value in _limits(v))
     return answer(
         paragraph(badge(v.found.verdict), f" {verdict_sentence(v)}"),
