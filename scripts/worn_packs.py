@@ -3,7 +3,7 @@
 
 Run: PYTHON scripts/worn_packs.py make FOLDER            (a Python of its own with `pip install pybamm`; 3 s a flight)
      .venv/bin/python scripts/worn_packs.py score FOLDER BATTERY
-Twenty-six packs of the porous-electrode simulator of `porous_cases.py`, three flights each: less charge, slow
+Twenty-six packs of the porous-electrode simulator (`porous_pack.py`), three flights each: less charge, slow
 electrodes, ohms in the contacts, not always charged to full. BATTERY is fitted from truth/lab and truth/reference
 (`uavbatt fit`). The load of the flight itself is known to the forecast, so that the battery alone is scored.
 """
@@ -17,7 +17,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from porous_cases import CAPACITY_AH, CELLS, Cell, Sensors, flown, readings, write
+from porous_pack import CAPACITY_AH, CELLS, Cell, Sensors, flown, readings, write
 
 CUTOFF_V, FLYING_A = 13.2, 3.0
 FLIGHTS = 3

@@ -1,4 +1,4 @@
-"""What many tests begin with: a pack of the packaged generic battery, and an estimator with it."""
+"""What many tests begin with: a pack of the packaged generic battery, an estimator with it, the powers of a flight."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.power_history import PowerHistory
 
 
 @cache
@@ -22,3 +23,11 @@ def generic_estimator(options: PackOptions, period_s: float = 10.0) -> Estimator
     """An estimator on `lipo-generic` for a stated pack, compiled where it can be; a forecast every `period_s` [s]."""
     settings = ForecastSettings(forecast_period_s=period_s)
     return Estimator(battery_file.read_battery("lipo-generic"), options, settings, engine_for(is_long=True))
+
+
+def flown(*power_W: float, each_s: float = 5.0) -> PowerHistory:
+    """A flight that has asked these powers, each for so long."""
+    found = PowerHistory()
+    for watts in power_W:
+        found = found.after(watts, each_s)
+    return found

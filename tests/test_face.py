@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,14 @@ def test_a_notebook_shows_the_answer_and_the_time_left(flown: uavbatt.Replay) ->
     assert minutes in text and "lipo-generic (generic)" in text and "4S" in text
     (svg,) = root.iter("svg")
     assert "Time left" in svg.attrib["aria-label"] and len(list(svg.iter("polyline"))) == 1
+
+
+def test_the_drawing_of_a_notebook_has_a_gap_where_there_was_no_forecast(flown: uavbatt.Replay) -> None:
+    """It was a straight line across a time in which nothing was known."""
+    third = len(flown) // 3
+    nothing = [replace(s, remaining=replace(s.remaining, remaining_s=math.nan)) for s in flown.steps[third : 2 * third]]
+    shown = replace(flown, steps=(*flown.steps[:third], *nothing, *flown.steps[2 * third :]))._repr_html_()
+    assert len(list(ElementTree.fromstring(shown).iter("polyline"))) == 2
 
 
 def test_a_notebook_shows_a_replay_without_a_forecast(short_log: Path) -> None:

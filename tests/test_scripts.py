@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import re
 from pathlib import Path
 
 import pytest
 
-SCRIPTS = sorted(path.stem for path in (Path(__file__).parents[1] / "scripts").glob("*.py"))
+FOLDER = Path(__file__).parents[1] / "scripts"
+SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py"))
+
+
+def test_the_list_of_scripts_names_each_of_them_and_no_other() -> None:
+    first_cells = re.findall(r"^\| (`.*?) \|", (FOLDER / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    listed = {name for cell in first_cells for name in re.findall(r"`([^`/]+)/?`", cell)}
+    assert listed == {path.name for path in FOLDER.iterdir()} - {"README.md", "__pycache__"}
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -28,9 +28,11 @@ def test_the_line_fills_the_drawing_from_its_least_to_its_greatest_value() -> No
 
 def test_a_gap_parts_the_line_and_the_band() -> None:
     y = [1.0, 2.0, math.nan, 2.0, 1.0]
-    svg = small_chart(range(5), y, alt="a", band=([0.0] * 5, [3.0, 3.0, math.nan, 3.0, math.inf]))
+    band = ([0.0] * 5, [3.0, 3.0, math.nan, 3.0, math.inf])
+    svg = small_chart(range(5), y, alt="a", band=band, shown=Span(0.0, 4.0), size=SQUARE)
     assert [len(line) for line in drawn(svg)] == [2, 2]
-    assert [len(around) for around in drawn(svg, "polygon")] == [4, 2]
+    around, alone = drawn(svg, "polygon")
+    assert around == [(2.0, 27.0), (27.0, 27.0), (27.0, 102.0), (2.0, 102.0)] and alone == [(77.0, 27.0), (77.0, 102.0)]
 
 
 def test_what_is_beyond_the_axis_ends_at_its_edge() -> None:

@@ -109,6 +109,11 @@ def clock(seconds: float, unknown: str = "unknown") -> str:
     return f"{sign}{minutes}:{rest:02d}"
 
 
+def counted(n: int, noun: str) -> str:
+    """Return a count with the name of what is counted, in the plural where there is not one: `3 flights`."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
 def rounded(value: float, decimals: int) -> float | None:
     """Return `value` to `decimals` places; None when it is not finite, and never a negative zero."""
     return round(float(value), decimals) + 0.0 if math.isfinite(value) else None

@@ -99,7 +99,7 @@ def test_packaged_files_are_intact(name: str) -> None:
 
 
 def test_the_packaged_prior_is_the_one_in_the_code() -> None:
-    """Whoever changes the prior packages it again: scripts/package_batteries."""
+    """Whoever changes the prior packages it again: scripts/package_batteries.py."""
     assert battery_file.content_hash(battery_file.read_battery("lipo-generic")) == battery_file.content_hash(
         generic_lipo()
     )

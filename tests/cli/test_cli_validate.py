@@ -16,7 +16,7 @@ def test_every_output_is_there_and_nothing_else(judged_study: Judged) -> None:
 
 
 def test_the_packaged_battery_can_be_reproduced(judged_study: Judged) -> None:
-    """Otherwise: run scripts/package_batteries and commit what it writes."""
+    """Otherwise: run scripts/package_batteries.py and commit what it writes."""
     shipped, packaged = (
         battery_file.read_battery(judged_study.folder / "ship/lpab-3s.battery.toml"),
         battery_file.read_battery("lpab-3s"),

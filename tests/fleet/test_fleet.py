@@ -24,8 +24,9 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
-from uavbatt.fleet.fly import Job, _reasons, fly_log
+from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
+from uavbatt.fleet.look import reasons, urgency
 from uavbatt.fleet.row import LOST, FlightRow, row_of
 from uavbatt.simulate.flight import SimulatedFlight, write_log
 from uavbatt.simulate.flight import simulate_flight as simulated
@@ -255,6 +256,7 @@ def test_whatever_happens_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         ({"certificate": "generic", "resistance_scale": 1.9}, {"resistance_scale": 1.9}, "resistance 1.90 times the"),
         ({"error_120_s": 60.0}, {"error_120_s": 61.0}, "two minutes before the end the forecast was 61 s too long"),
         ({"error_120_s": 61.0, "inside_120": True}, {"error_120_s": 61.0}, "two minutes before the end the forecast"),
+        ({"trust": "with care"}, {"trust": "no"}, "not to be trusted: rows are missing"),
     ],
 )
 def test_a_flight_is_looked_at_from_one_bound_on_and_says_why(
@@ -265,6 +267,6 @@ def test_a_flight_is_looked_at_from_one_bound_on_and_says_why(
         "refused_share": 0.0, "mean_nis": 1.0, "resistance_scale": 1.0, "resistance_scale_sd": 0.1,
         "error_120_s": 0.0, "inside_120": False,
     }  # fmt: skip
-    assert _reasons(FlightRow(**{**ordinary, **near}), ()) == []
-    (reason,) = _reasons(FlightRow(**{**ordinary, **beyond}), ())
-    assert reason.startswith(words)
+    assert reasons(FlightRow(**{**ordinary, **near}), ("rows are missing",)) == []
+    (reason,) = reasons(FlightRow(**{**ordinary, **beyond}), ("rows are missing",))
+    assert reason.startswith(words) and urgency(FlightRow(file="a.tlog", look=reason)) > 0.0

@@ -297,8 +297,8 @@ def serial(uid: int) -> Any:
     return dialect.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid)
 
 
-def test_another_vehicle_is_not_resumed(kept: tuple[str, float], tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
+def met_by_system_7(kept: tuple[str, float], path: Path) -> Bench:
+    """A process that begins with a state of system 1, and hears system 7."""
     path.write_text(kept[0])
     bench = restarted(path, kept[1])
     for sample in flight(0.5)[:6]:
@@ -306,20 +306,29 @@ def test_another_vehicle_is_not_resumed(kept: tuple[str, float], tmp_path: Path)
         bench.send(battery_status(sample, 0), system=7)
         bench.daemon.turn()
         bench.now_s += 0.5
+    return bench
+
+
+def with_parameter(path: Path, name: bytes, value: float) -> Bench:
+    """A process that has heard of a vehicle, its serial number and a parameter, and ends in flight."""
+    first = Bench(OPTIONS, state=section(path))
+    first.send(heartbeat(True))
+    first.send(serial(0xABC))
+    first.send(dialect.MAVLink_param_value_message(name, value, 9, 1, 0))
+    first.play(flight()[:FLOWN])
+    first.daemon.close()
+    return first
+
+
+def test_another_vehicle_is_not_resumed(kept: tuple[str, float], tmp_path: Path) -> None:
+    bench = met_by_system_7(kept, tmp_path / "state.json")
     assert "not resumed: saved state is of system 1, heard is system 7" in notes(bench)
     assert bench.daemon.board.reports[0].estimate.soc == pytest.approx(0.5, abs=0.05)
     assert "BATT_CAPACITY" not in bench.daemon._reader.parameters
 
 
 def test_a_state_waits_for_its_own_vehicle_when_another_comes_first(kept: tuple[str, float], tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    path.write_text(kept[0])
-    bench = restarted(path, kept[1])
-    for sample in flight(0.5)[:6]:
-        bench.send(heartbeat(False), system=7)
-        bench.send(battery_status(sample, 0), system=7)
-        bench.daemon.turn()
-        bench.now_s += 0.5
+    bench = met_by_system_7(kept, tmp_path / "state.json")
     bench.now_s += 11.0  # system 7 is silent, and system 1 speaks of its battery
     bench.play(flight()[FLOWN : FLOWN + 10])
     assert bench.daemon.board.reports[0].system == 1
@@ -329,12 +338,7 @@ def test_a_state_waits_for_its_own_vehicle_when_another_comes_first(kept: tuple[
 
 def test_what_is_said_in_flight_counts_once_a_resumed_parameter_was_anothers(tmp_path: Path) -> None:
     path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=section(path))
-    first.send(heartbeat(True))
-    first.send(serial(0xABC))
-    first.send(dialect.MAVLink_param_value_message(b"BATT_LOW_VOLT", 14.0, 9, 1, 0))
-    first.play(flight()[:FLOWN])
-    first.daemon.close()
+    first = with_parameter(path, b"BATT_LOW_VOLT", 14.0)
     bench = restarted(path, first.now_s)
     bench.send(heartbeat(True))
     bench.play(flight(0.5)[:4])
@@ -348,12 +352,7 @@ def test_what_is_said_in_flight_counts_once_a_resumed_parameter_was_anothers(tmp
 @pytest.mark.parametrize("told", ["before the first row", "after it"])
 def test_another_aircraft_of_the_same_number_is_not_resumed(told: str, tmp_path: Path) -> None:
     path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=section(path))
-    first.send(heartbeat(True))
-    first.send(serial(0xABC))
-    first.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0))
-    first.play(flight()[:FLOWN])
-    first.daemon.close()
+    first = with_parameter(path, b"BATT_CAPACITY", 5000.0)
     assert json.loads(path.read_text())["vehicle"]["hardware"] == "0000000000000abc"
     bench = restarted(path, first.now_s)
     rows = flight(0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,18 @@ def test_a_short_mission_fits_and_a_long_one_does_not(long: MissionPlan) -> None
     assert math.isnan(short.here.route.turn_back_s)
     assert long.turning is not None
     assert 0.0 < long.turning.east_m < 6000.0
+
+
+@pytest.mark.parametrize(
+    ("risk", "text", "fits"),
+    [(0.37, "37%", False), (0.051, "5.1%", False), (0.0503, "5.03%", False), (0.05, "5%", True), (0.046, "5%", True)],
+)
+def test_the_risk_is_told_so_that_it_is_seen_why_a_mission_fits_or_not(
+    long: MissionPlan, risk: float, text: str, fits: bool
+) -> None:
+    """It said "does NOT fit: 5%", and that 5 % is allowed."""
+    fit = replace(long.here, route=replace(long.here.route, risk=risk))
+    assert (fit.risk_text, fit.fits) == (text, fits)
 
 
 def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from factories import flown
 
 from uavbatt import Estimator, Sample
 from uavbatt.prediction.forecast import Forecast
@@ -14,14 +15,6 @@ from uavbatt.records import NAN, Remaining
 
 MOTOR_W, GLIDE_W = 500.0, 25.0
 EDGES_S = np.arange(0.0, 200.0, 5.0)
-
-
-def flown(*power_W: float, each_s: float = 5.0) -> PowerHistory:
-    """A flight that has asked these powers, each for so long."""
-    found = PowerHistory()
-    for watts in power_W:
-        found = found.after(watts, each_s)
-    return found
 
 
 def running(past: PowerHistory) -> np.ndarray:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from factories import generic_pack
+from factories import flown, generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
@@ -158,14 +158,6 @@ def test_an_unknown_aircraft_expects_a_surge() -> None:
     ahead_W = made.power_W @ made.weight
     early_W, late_W = ahead_W[:10].mean(), ahead_W[45:55].mean()
     assert early_W == pytest.approx(300.0, rel=0.1) and 1.03 * early_W < late_W < 1.3 * early_W
-
-
-def flown(*power_W: float, each_s: float = 5.0) -> PowerHistory:
-    """A flight that has asked these powers, each for so long."""
-    found = PowerHistory()
-    for watts in power_W:
-        found = found.after(watts, each_s)
-    return found
 
 
 def recent(*power_W: float) -> RecentLoad:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -139,12 +140,12 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_mission(tmp_path / "none.plan")
 
 
-def on_px4(folder: Path, *said: Any) -> Navigation:
-    """What is known of a flight with `WAYPOINTS` on a PX4 that has said these messages."""
+def on_px4(folder: Path, *said: Any, text: str = WAYPOINTS) -> Navigation:
+    """What is known of a flight with the mission on a PX4 that has said these messages."""
     listener = NavigationListener()
     for message in (dialect.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3), *said):
         listener.take(1.0, message.get_msgId(), message)
-    return read_mission(written(folder, WAYPOINTS)).flown(listener.now)
+    return read_mission(written(folder, text)).flown(listener.now)
 
 
 @pytest.mark.parametrize(("total", "first_to"), [(6, 1), (7, 2)])
@@ -164,8 +165,18 @@ def test_a_px4_tells_whether_it_counts_the_home_of_a_file(tmp_path: Path, total:
     assert known.mission.items[jump.jump_to] is place
 
 
-@pytest.mark.parametrize("total", [0, 0xFFFF, 3, 9])
-def test_a_px4_that_does_not_tell_flies_an_unknown_route(tmp_path: Path, total: int) -> None:
+@pytest.mark.parametrize(("total", "first_to"), [(6, 1), (7, 2)])
+def test_a_px4_flies_to_the_height_of_home_where_a_file_says_so(tmp_path: Path, total: int, first_to: int) -> None:
+    """An ArduPilot takes a height of 0 for none, and keeps the one that it has."""
+    low = WAYPOINTS.replace("8.0\t50\t1", "8.0\t0\t1")
+    known = on_px4(tmp_path, dialect.MAVLink_mission_current_message(first_to, total, 0), text=low)
+    assert known.mission is not None and known.mission.items[first_to].alt_m == 0.0
+    assert math.isnan(read_mission(written(tmp_path, low)).mission.items[2].alt_m)
+
+
+@pytest.mark.parametrize(("total", "told"), [(0, "does not say how many it holds"), (0xFFFF, "does not say how many"),
+                                             (3, "says 3:"), (9, "says 9:")])  # fmt: skip
+def test_a_px4_that_does_not_tell_flies_an_unknown_route(tmp_path: Path, total: int, told: str) -> None:
     known = on_px4(tmp_path, dialect.MAVLink_mission_current_message(1, total, 0))
     assert known.mission is not None
-    assert "a PX4 holds 6 or 7 of them" in path(known.mission, HOME, SETTINGS).reason
+    assert f"a PX4 holds 6 or 7 of them, the autopilot {told}" in path(known.mission, HOME, SETTINGS).reason

@@ -70,7 +70,7 @@ def test_payloads_mean_what_messages_mean(mV: Any, ext: Any, cA: int, mAh: int, 
     for message, expected in zip((status, sys_status, battery2), scalar, strict=True):
         kind = tlog_payloads.KINDS[message.get_msgId()]
         payload = message.pack(link)[10:-2].ljust(kind.layout.itemsize, b"\0")[: kind.layout.itemsize]
-        said = kind.messages(np.frombuffer(payload, np.uint8).reshape(1, -1))
+        said = kind.read(np.frombuffer(payload, kind.layout))
         cells = () if said.cells_V is None else tuple(v for v in said.cells_V[0].tolist() if v == v)
         numbers = [float(column[0]) for column in said[1:-1]]
         assert repr((int(said.instance[0]), *numbers, cells)) == repr(

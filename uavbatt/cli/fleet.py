@@ -30,6 +30,7 @@ from uavbatt.cli.options import (
     stated_pack,
 )
 from uavbatt.errors import UavbattError, UsageError
+from uavbatt.output import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -174,15 +175,14 @@ def _health_before_each(
         count = len(ledger.packs())
     for number, words in filled.left_out.items():
         remark(f"uavbatt: {found[number].name}: {words}")
-    flights, names = f"flight{'s' * (filled.saved != 1)}", f"pack{'s' * (count != 1)}"
-    told = f"{filled.saved} {flights} in {packs}, which remembers {count} {names}"
+    told = f"{counted(filled.saved, 'flight')} in {packs}, which remembers {counted(count, 'pack')}"
     return met, f"{told}; see `uavbatt packs {packs}`"
 
 
 def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: int) -> None:
     """Write the page, and print the result in a few lines. Raises UavbattError if no log could be replayed."""
     from uavbatt.fleet.tables import CSV, PARQUET
-    from uavbatt.report.fleet import counted, fleet_report
+    from uavbatt.report.fleet import fleet_report
     from uavbatt.report.fleet_groups import gathered
     from uavbatt.report.page import write_page
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavbatt.errors import UsageError
+from uavbatt.output import counted
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.packs.ledger import Ledger
+    from uavbatt.packs.records import PackFinding, PackRow
     from uavbatt.records import Flight
 
 
@@ -81,15 +83,18 @@ class PackMemory:
             )
         pack = self.ledger.pack(name)
         assert pack is not None
-        seen = pack.outlook
-        words = (
-            f"  pack       {name}: {seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
-        )
-        flights = f"{seen.flights} flight{'s' * (seen.flights != 1)} remembered"
-        lines = [f"{words}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights}"]
-        lines += [f"  pack       {name}: {finding.words}" for finding in after.findings]
-        kinds = [finding.kind for finding in after.findings]
-        return LearnedFlight(tuple(lines), {"pack": name, "pack_flights": seen.flights, "pack_findings": kinds})
+        return _learned(pack, after.findings)
+
+
+def _learned(pack: PackRow, findings: Sequence[PackFinding]) -> LearnedFlight:
+    """Return in words what is known of a pack after a flight that was saved, and the findings of that flight."""
+    seen = pack.outlook
+    capacity = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
+    flights = counted(seen.flights, "flight")
+    known = f"{capacity}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights} remembered"
+    lines = [f"  pack       {pack.name}: {words}" for words in (known, *(finding.words for finding in findings))]
+    kinds = [finding.kind for finding in findings]
+    return LearnedFlight(tuple(lines), {"pack": pack.name, "pack_flights": seen.flights, "pack_findings": kinds})
 
 
 def unknown_pack(ledger: Ledger, name: str) -> UsageError:

@@ -66,7 +66,7 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
         f"{plan.resolved.battery} ({plan.resolved.status}): {plan.resolved.words}",
         *(f"  warning    {warning}" for warning in plan.warnings),
         f"{name}: {'fits' if here.fits else 'does NOT fit'} at {here.ambient_C:g} °C; "
-        f"probability that the battery ends before touchdown {route.risk:.0%}"
+        f"probability that the battery ends before touchdown {here.risk_text}"
         + (f"; {here.remark}" if here.remark else ""),
         f"  touchdown after {clock(route.left_s)}{_at_touchdown(route)}; "
         f"hover left then {clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
@@ -106,7 +106,7 @@ def _charge(middle: float, lo: float, hi: float) -> str:
 def _row(fit: RouteFit) -> str:
     route = fit.route
     charge = _charge(route.soc, route.soc_lo, route.soc_hi)
-    return f"  {fit.ambient_C:>5.0f} °C  {route.risk:>5.0%}  {clock(fit.spare_s):>10}  {charge}  {fit.remark}".rstrip()
+    return f"  {fit.ambient_C:>5.0f} °C  {fit.risk_text:>5}  {clock(fit.spare_s):>10}  {charge}  {fit.remark}".rstrip()
 
 
 def _fit(fit: RouteFit) -> dict[str, Any]:

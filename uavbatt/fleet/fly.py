@@ -18,10 +18,10 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
+from uavbatt.fleet.look import doubts_of_log, reasons
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
-from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
@@ -31,13 +31,6 @@ from uavbatt.telemetry.quality.drawn import drawn
 from uavbatt.telemetry.quality.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
-MUCH_REFUSED = 0.2  # share of the forecasts in the air
-HIGH_NIS = 3.0  # mean of the squared innovation over its variance: 1 if the model fits
-MUCH_LOST = 0.01  # share of a log's bytes: more than a record that is cut
-EMPTY_SOC = 0.05  # a landing with less has worn the cells
-LANDING_S = 30.0  # a descent from 50 m, begun at the cut-off
-OPTIMISTIC_S = 60.0  # half of the two minutes that were left
-RESISTANCE_GROWN = 1.4  # times that of the battery file, and more than two sd away
 MANY_FLIGHTS = 20  # flights of 20 minutes: compiled code saves 0.2 s in each, and takes 1 s to load
 
 
@@ -132,8 +125,8 @@ def _flown(flight: Flight, size_bytes: int, log: LogFile, job: Job, met: Remembe
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), ending)
-    doubts = _doubts_of_log(flight, size_bytes, time.time())
-    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons), *doubts]))
+    doubts = doubts_of_log(flight, size_bytes, time.time())
+    return replace(row, look="; ".join([*met.findings, *reasons(row, info.reasons), *doubts]))
 
 
 def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
@@ -197,38 +190,6 @@ def _scored(row: FlightRow, ending: Outcome) -> FlightRow:
 
 def _warnings(flight: Flight, run: list[ReplayedRow]) -> list[str]:
     return list(dict.fromkeys([w for s in run for w in s.estimate.warnings] + list(flight.notes)))
-
-
-def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
-    """Return the reasons why a person should look at this flight; empty if there are none."""
-    reasons = []
-    if row.end_soc < EMPTY_SOC:
-        reasons.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
-    elif math.isfinite(row.end_of_flight_s) and row.duration_s - row.end_of_flight_s > LANDING_S:
-        reasons.append("flew on below the cut-off voltage")
-    if row.refused_share > MUCH_REFUSED:
-        reasons.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
-    if row.mean_nis > HIGH_NIS:
-        reasons.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
-    # a generic or edited file tells nothing here: new packs differ by more than that
-    is_measured = row.certificate not in ("generic", "edited")
-    if is_measured and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
-        reasons.append(f"resistance {row.resistance_scale:.2f} times the battery file's")
-    if row.error_120_s > OPTIMISTIC_S and row.inside_120 is False:
-        reasons.append(f"two minutes before the end the forecast was {row.error_120_s:.0f} s too long")
-    if row.trust == "no":
-        reasons.append("not to be trusted: " + (doubts[0] if doubts else "see `uavbatt info`"))
-    return reasons
-
-
-def _doubts_of_log(flight: Flight, size_bytes: int, now_utc_s: float) -> list[str]:
-    """Return what is wrong with a log itself: bytes that could not be read, a date in the future.
-
-    size_bytes : of the log, unpacked; now_utc_s : the time now [s since 1970]
-    """
-    lost, start_utc_s = flight.skipped_bytes / size_bytes, flight.identity.start_utc_s
-    found = [f"{lost:.0%} of the log could not be read"] if lost > MUCH_LOST else []
-    return [*found, future_words(start_utc_s)] if is_in_future(start_utc_s, now_utc_s) else found
 
 
 def _aircraft(log: LogFile, job: Job, system: int | None) -> str:

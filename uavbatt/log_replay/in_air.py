@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.model import Array
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.quality.drawn import loaded_A
 
 DOUBTED = {Kind.DEAD_CURRENT, Kind.STUCK_CURRENT}
@@ -59,6 +60,16 @@ def in_air(run: Sequence[ReplayedRow]) -> InAir:
         elif math.isfinite(level_s) and (math.isnan(amps[k]) or _is_current_doubted(row)):
             lost[k] = volts <= level_V if row.armed is None else row.armed
     return InAir(loaded | lost, lost, np.where(lost, math.inf, amps), least_A)
+
+
+def first_below_s(time_s: Array, voltage_V: Array, air: InAir, limit_V: float) -> float:
+    """Return when the voltage under load first falls below a limit [s], by the rule for the end of a flight; else NaN.
+
+    time_s, voltage_V : of each row; limit_V : of the pack [V]. Without a current every row may be under load.
+    """
+    if not math.isfinite(air.loaded_A):
+        return end_of_flight(time_s, voltage_V, cutoff_V=limit_V)
+    return end_of_flight(time_s, voltage_V, air.current_A, cutoff_V=limit_V, min_current_A=air.loaded_A)
 
 
 def _is_current_doubted(row: ReplayedRow) -> bool:

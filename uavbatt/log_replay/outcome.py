@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.log_replay.in_air import InAir, in_air
+from uavbatt.log_replay.in_air import InAir, first_below_s, in_air
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import NAN, Status
-from uavbatt.scoring.end_of_flight import end_of_flight
 
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
 FORGOTTEN_S = 30.0
@@ -105,10 +104,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
     air = in_air(run)
-    if np.isfinite(air.loaded_A):
-        end_s = end_of_flight(time_s, volts, air.current_A, cutoff_V=cutoff_V, min_current_A=air.loaded_A)
-    else:  # no current sensor: every row may be under load
-        end_s = end_of_flight(time_s, volts, cutoff_V=cutoff_V)
+    end_s = first_below_s(time_s, volts, air, cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
     is_known = bool(known) and not _is_forgotten(run, air)
     since_s = time_s[air.flying][0] + 60.0 if air.flying.any() else math.inf

@@ -79,10 +79,11 @@ class Replay:
         return small_table(self.flight.source, facts, self._chart())
 
     def _chart(self) -> str:
-        shown = [step.remaining for step in self.steps if math.isfinite(step.remaining.remaining_s)]
-        if not shown:
+        known = [k for k, step in enumerate(self.steps) if math.isfinite(step.remaining.remaining_s)]
+        if not known:
             return ""
-        known_s = sorted(said.remaining_s for said in shown)
+        shown = [step.remaining for step in self.steps[known[0] : known[-1] + 1]]  # NaN where there was no forecast
+        known_s = sorted(self.steps[k].remaining.remaining_s for k in known)
         top_s = HEADROOM * known_s[int(SETTLED * (len(known_s) - 1))]
         drawn = small_chart(
             [said.time_s for said in shown],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
+from uavbatt.output import counted
 from uavbatt.packs.bounds import LATEST_UTC_S
 from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT
@@ -21,7 +22,7 @@ def retire_words(seen: Outlook) -> str:
         return f"retire now: below {RETIRED_AT:.0%} already"
     if math.isfinite(median):
         until = f"to {latest:.0f}" if math.isfinite(latest) else "or many more"
-        return f"retire in about {median:.0f} flight{'s' * (round(median) != 1)} ({soonest:.0f} {until}) {at}"
+        return f"retire in about {counted(round(median), 'flight')} ({soonest:.0f} {until}) {at}"
     if math.isfinite(soonest):
         return f"stays above {RETIRED_AT:.0%} for {soonest:.0f} flights or more"
     return "no reason to retire it"
@@ -42,7 +43,7 @@ def pack_lines(pack: PackRow, now_utc_s: float) -> list[str]:
     trend = trend_words(seen.capacity_trend, seen.capacity_trend_sd)
     line = (
         f"{pack.name:<16}  {seen.capacity_Ah / pack.rated_Ah:4.0%} of {pack.rated_Ah:g} Ah: {charge}; {ohm}; "
-        f"{seen.flights} flight{'s' * (seen.flights != 1)}; charge {trend}; {retire_words(seen)}"
+        f"{counted(seen.flights, 'flight')}; charge {trend}; {retire_words(seen)}"
     )
     said = [finding.words for finding in pack.findings]
     if is_in_future(pack.last_utc_s, now_utc_s):

@@ -41,6 +41,7 @@ BEYOND = 1.5  # longest hovers of a full pack: how long the hover at home is loo
 MOST_HOVERS = 2.0  # a longer route is not simulated: it does not fit
 LEVELS = (0.05, 0.5, 0.95)
 NOT_REACHED = 0.5  # no charge is shown where more of the draws have ended before
+MOST_DECIMALS = 3  # of a risk in percent
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 
@@ -103,6 +104,12 @@ class RouteFit:
     def fits(self) -> bool:
         """Return True if the end of flight comes after touchdown with 95 % probability."""
         return self.route.risk <= IN_TIME
+
+    @property
+    def risk_text(self) -> str:
+        """Return the risk in percent, with decimals only if a whole number hides on which side of IN_TIME it is."""
+        texts = [f"{self.route.risk:.{decimals}%}" for decimals in range(MOST_DECIMALS + 1)]
+        return next((text for text in texts if (float(text[:-1]) <= 100.0 * IN_TIME) is self.fits), texts[-1])
 
     @property
     def no_way_home(self) -> str:

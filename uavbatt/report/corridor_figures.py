@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt.dataset import Run
 from uavbatt.report import plot
-from uavbatt.report.page import Html, celsius, figure, paragraph, sentence
+from uavbatt.report.page import Html, celsius, figure, missing_figure, percent, sentence
 from uavbatt.report.validation_page import Array, ValidationPage
 from uavbatt.validation.judging.corridor import Corridor, time_corridor
 from uavbatt.validation.judging.crossing import crossing_time
@@ -140,7 +140,7 @@ def departures(page: ValidationPage, band: Corridor, model: Array | None) -> Htm
             axes.plot(page.model.time_s / 60.0, gap, "x", color=plot.RED, markersize=6, label="model, held out")
         _frame(axes, band, scale)
 
-    share_words = f" Of genuine curves {band.covers_all:.0%} stay inside mean ± C at every instant."
+    share_words = f" Of genuine curves {percent(band.covers_all)} stay inside mean ± C at every instant."
     cut = " Curves that leave the drawing lie further out."
     alt = "Deviations of runs and model from the mean of the tests, with three bands."
     note = "Blue: the repeated tests." + (share_words if math.isfinite(band.covers_all) else "") + cut
@@ -176,9 +176,7 @@ def in_time(page: ValidationPage) -> Html:
     band = time_corridor(page.found.readings, page.found.ambient_C)
     title = "When a voltage is reached: the corridor in time"
     if band is None or not np.isfinite(band.C).any():
-        return figure(
-            paragraph("Not enough data: no voltage that every repeated run falls through.", css="quiet"), title
-        )
+        return missing_figure(title, "Not enough data: no voltage that every repeated run falls through.")
 
     def draw(axes: Axes) -> None:
         _shade(axes, band.at, -band.C, band.C)
@@ -212,7 +210,7 @@ def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: 
     if len(measured) < 2:
         places = f"at {celsius(measured[0].ambient_C)} only" if measured else "nowhere"
         note = f"Not enough data: measured values were given {places}, so that this figure cannot be redrawn from them."
-        return figure(paragraph(note, css="quiet"), title)
+        return missing_figure(title, note)
     low, high = min(c.ambient_C for c in measured), max(c.ambient_C for c in measured)
 
     def draw(axes: Axes) -> None:
@@ -248,7 +246,7 @@ def crossings(page: ValidationPage) -> Html:
     times = [(r.sample, r.ambient_C, crossing_time(r.time_s, r.voltage_V, level_V)) for r in runs]
     crossed = [c for c in times if math.isfinite(c[2])]
     if len({c[1] for c in crossed}) < 2:
-        return figure(paragraph("Tests at two ambient temperatures or more would be needed.", css="quiet"), title)
+        return missing_figure(title, "Tests at two ambient temperatures or more would be needed.")
 
     def draw(axes: Axes) -> None:
         for i, sample in enumerate(dict.fromkeys(c[0] for c in crossed)):

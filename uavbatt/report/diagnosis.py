@@ -34,6 +34,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     scrolled,
     section,
     sentence,
@@ -64,14 +65,14 @@ def diagnosis_report(diagnosis: Diagnosis, closed: ClosedLoop, old: BatteryFile,
     mood, words = ANSWERS[diagnosis.verdict]
     several = len(diagnosis.classes) > 1
     words = TOGETHER if several and diagnosis.verdict == "effect_found" else words
-    may_hide = [paragraph(MAY_HIDE)] if diagnosis.may_hide else []
+    may_hide = paragraph(MAY_HIDE if diagnosis.may_hide else "")
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        answer(paragraph(strong(words)), *may_hide, *(_suspect(c, several) for c in diagnosis.classes), mood=mood),
+        answer(paragraph(strong(words)), may_hide, *(_suspect(c, several) for c in diagnosis.classes), mood=mood),
         section("Doubts", bullets(diagnosis.reasons)),
         *([section("Where the evidence lies", evidence_figure(diagnosis.blocks))] if diagnosis.blocks else []),
-        section("Error before and after", _errors(closed, diagnosis.floor_V), *_worse(closed)),
+        section("Error before and after", _errors(closed, diagnosis.floor_V), _worse(closed)),
         section("Residuals, measured minus modelled", *_residuals(diagnosis)),
         section("Change of the battery file", *_changes(diagnosis, difference(old, new))),
         section("Notes", bullets(_notes(diagnosis, old))),
@@ -100,7 +101,7 @@ def _suspect(one: EffectClass, several: bool) -> Html:
         value, lo, hi = (number(scale * v, decimals) for v in (i.value, i.lo, i.hi))
         rows.append((QUANTITY.get(quantity, quantity), value, f"{lo} to {hi}", unit, quantity))
     cause, these = "One cause" if several else "The cause", "among these" if one.members[1:] else "this"
-    sure = f"{cause} is {these} with a probability of {one.probability:.0%}."
+    sure = f"{cause} is {these} with a probability of {percent(one.probability)}."
     head = ("if it is so", "value", "95 % interval", "unit", "in the file")
     return element("div", *suspect(one.members, "", sure, "records"), table(head, rows, text_columns=(0, 3, 4)))
 
@@ -111,11 +112,11 @@ def suspect(members: Sequence[str], course: str, sure: str, told_by: str, *size:
     course : how the first of its `members` developed, if known; told_by : `records` or `flights`; size : sentences
     """
     name, *others = members
-    rivals = [paragraph(f"These {told_by} cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
     return [
         paragraph(strong(sentence(MEANING[name])), f" ({name}){f': {course}' if course else ''}."),
         *map(paragraph, size),
-        *(rivals if others else []),
+        paragraph(f"These {told_by} cannot tell it from:" if others else ""),
+        bullets(f"{MEANING[m]} ({m})" for m in others),
         paragraph(sure),
         paragraph(strong("What to check")),
         bullets(f"{sentence(CHECK[m])} ({m})." for m in members),
@@ -161,9 +162,9 @@ def _errors(closed: ClosedLoop, floor_V: float) -> Html:
     return table(("", "before", "after", "unit"), rows, caption, text_columns=(0, 3))
 
 
-def _worse(closed: ClosedLoop) -> list[Html]:
+def _worse(closed: ClosedLoop) -> Html:
     words = f"Held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it."
-    return [paragraph(strong(words))] if closed.worse else []
+    return paragraph(strong(words) if closed.worse else "")
 
 
 def _residuals(diagnosis: Diagnosis) -> list[Html]:

@@ -9,6 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.output import counted
 from uavbatt.packs.dates import date_text
 from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_FILES, MOST_LISTED, Change, Group, Overview, change, verdict
@@ -144,8 +145,8 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
         "one flight the capacity is hardly visible: its scale stays near 1 unless flights go deep, and an aged pack "
         "shows first as resistance."
     )
-    more = [paragraph(f"Drawn: the {len(first_groups)} that changed most; {hidden} more in the table.", css="quiet")]
-    return [paragraph(explained), *figures, *(more if hidden else []), _folded(head, rows)]
+    more = f"Drawn: the {len(first_groups)} that changed most; {hidden} more in the table." if hidden else ""
+    return [paragraph(explained), *figures, paragraph(more, css="quiet"), _folded(head, rows)]
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
@@ -181,12 +182,11 @@ def _look(overview: Overview) -> list[Html]:
     ]
     more = overview.looked - len(overview.look)
     by_count = sorted(overview.reasons.items(), key=lambda one: -one[1])
-    parts = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
-    parts.append(table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)))
-    if more > 0:
-        words = f"Those that need it most; {more} more in flights.csv, column `look`."
-        parts.append(paragraph(words, css="quiet"))
-    return parts
+    return [
+        bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS]),
+        table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)),
+        paragraph(f"Those that need it most; {more} more in flights.csv, column `look`." if more else "", css="quiet"),
+    ]
 
 
 def _failed(overview: Overview) -> Html:
@@ -214,7 +214,7 @@ def _accuracy(overview: Overview) -> list[Html]:
             (
                 label, str(forecasts), _mean_and_error(absolute), _mean_and_error(errors, sign=True),
                 number(float(np.median(absolute)) if len(errors) else math.nan, 0),
-                f"{overview.inside[key]} ({overview.inside[key] / forecasts:.0%})", str(overview.refused[key]),
+                f"{overview.inside[key]} ({percent(overview.inside[key] / forecasts)})", str(overview.refused[key]),
             )
         )  # fmt: skip
     if not rows:
@@ -243,8 +243,3 @@ def _mean(values: NDArray[np.float64]) -> float:
 
 def _whose(groups: Sequence[str]) -> str:
     return groups[0] if len(groups) == 1 else f"{len(groups)} packs or aircraft"
-
-
-def counted(n: int, noun: str) -> str:
-    """Return a count with the name of what is counted, in the plural where there is not one: `3 flights`."""
-    return f"{n} {noun}{'' if n == 1 else 's'}"

@@ -18,7 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.fleet.look import urgency
 from uavbatt.fleet.row import FlightRow
+from uavbatt.report.page import percent
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4  # a line through fewer leaves too little to judge its own scatter by
@@ -71,12 +73,12 @@ def verdict(group: Group, resistance: Change | None, capacity: Change | None) ->
     if resistance is None or capacity is None:
         return AgeingVerdict("cannot tell", "too few flights")
     if resistance.is_certain and resistance.difference > 0.0:
-        return AgeingVerdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
+        return AgeingVerdict("grown", f"ohms grown by {percent(resistance.difference / resistance.early)}")
     if capacity.is_certain and capacity.difference < 0.0:
-        return AgeingVerdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
+        return AgeingVerdict("lost", f"capacity lost: {percent(-capacity.difference / capacity.early)}")
     if resistance.at_most <= STEADY:
-        return AgeingVerdict("steady", f"steady to within {resistance.at_most:.0%}")
-    return AgeingVerdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
+        return AgeingVerdict("steady", f"steady to within {percent(resistance.at_most)}")
+    return AgeingVerdict("cannot tell", f"cannot tell: growth below {percent(resistance.visible)} is not visible")
 
 
 @dataclass(slots=True)
@@ -179,17 +181,17 @@ def gathered(rows: Iterable[FlightRow]) -> Overview:
         overview.certificates.add(row.certificate)
         if row.look:
             overview.looked += 1
-            overview.look = _most_severe([*overview.look, row], MOST_LISTED)
+            overview.look = _most_urgent([*overview.look, row], MOST_LISTED)
             for reason in row.look.split("; "):
                 kind = _FIGURE.sub("…", reason)
                 overview.reasons[kind] = overview.reasons.get(kind, 0) + 1
         _score(overview, row)
-    overview.look = _most_severe(overview.look, max(math.ceil(LISTED_SHARE * overview.flights), 1))
+    overview.look = _most_urgent(overview.look, max(math.ceil(LISTED_SHARE * overview.flights), 1))
     return overview
 
 
-def _most_severe(rows: Sequence[FlightRow], count: int) -> list[FlightRow]:
-    return sorted(rows, key=severity, reverse=True)[:count]
+def _most_urgent(rows: Sequence[FlightRow], count: int) -> list[FlightRow]:
+    return sorted(rows, key=urgency, reverse=True)[:count]
 
 
 def _whose(row: FlightRow) -> tuple[str, bool]:
@@ -202,20 +204,6 @@ def _whose(row: FlightRow) -> tuple[str, bool]:
     if row.hardware:
         return f"aircraft {row.hardware} ({size})", True
     return f"folder {row.aircraft or '?'} ({size})", False
-
-
-def severity(row: FlightRow) -> float:
-    """Return how urgently a flight needs a look; an emptied battery comes before an inaccurate forecast."""
-    weights = {
-        "landed nearly empty": 5.0,
-        "resistance": 4.0,
-        "too long": 4.0,
-        "not to be trusted": 3.0,
-        "explains it badly": 2.0,
-        "refused": 2.0,
-        "flew on below": 1.0,
-    }
-    return sum(weight for words, weight in weights.items() if words in row.look)
 
 
 def _score(overview: Overview, row: FlightRow) -> None:

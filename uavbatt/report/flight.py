@@ -8,7 +8,7 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile, Certificate
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow
@@ -35,6 +35,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     sentence,
     table,
@@ -48,6 +49,7 @@ STATUS_WORDS = {
     "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
     "edited": "Edited: not what was sealed, or failed at its gate; let through by the caller, nobody vouches for it.",
 }
+MOST_CLAIMS = 8  # rows of a table that needs no fold
 MOST_WARNINGS = 20  # different ones; the JSON Lines hold all
 SHOWN_AS = {
     Status.REFUSED: "refused (hatched)", Status.CONVERGING: "converging (shaded)", Status.STALE: "gap (left blank)",
@@ -117,7 +119,7 @@ def _refused_words(outcome: Outcome, periods: Sequence[Stretch]) -> str:
     if refused_s <= 0.0:
         return ""
     air = outcome.refused_in_air
-    share = f"{air:.0%} of the rows" if air > 0.0 else "none of it"
+    share = f"{percent(air)} of the rows" if air > 0.0 else "none of it"
     flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
     return f"No forecast was given for {duration(refused_s)} in all{flying}."
 
@@ -164,7 +166,7 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     certificate = battery.certificate
     validated = certificate.validated_ambient_C
     span = f"{min(validated):g} to {max(validated):g} °C" if validated else "none"
-    parts = [
+    return [
         paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}"),
         facts(
             (
@@ -179,18 +181,22 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
                 ("file content", certificate.content_sha256[:16] or UNKNOWN),
             )
         ),
+        _claims(certificate, resolved.status),
+        *_notes("Remarks in the battery file", battery.battery.remarks),
     ]
-    if certificate.verdicts:
-        body = [
-            (v.claim, UNKNOWN if v.ambient_C is None else f"{v.ambient_C:+g} °C", badge(v.verdict), v.reason)
-            for v in certificate.verdicts
-        ]
-        claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
-        parts.append(claims if len(body) <= 8 else details(f"{len(body)} claims of the certificate", claims))
-    else:
-        why = "what it claimed was of other content" if resolved.status == "edited" else "nothing was put to a gate"
-        parts.append(paragraph(f"The certificate makes no claim: {why}."))
-    return [*parts, *_notes("Remarks in the battery file", battery.battery.remarks)]
+
+
+def _claims(certificate: Certificate, status: str) -> Html:
+    """Return the claims of the certificate with their verdicts; more than MOST_CLAIMS are folded."""
+    if not certificate.verdicts:
+        why = "what it claimed was of other content" if status == "edited" else "nothing was put to a gate"
+        return paragraph(f"The certificate makes no claim: {why}.")
+    body = [
+        (v.claim, UNKNOWN if v.ambient_C is None else f"{v.ambient_C:+g} °C", badge(v.verdict), v.reason)
+        for v in certificate.verdicts
+    ]
+    claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
+    return claims if len(body) <= MOST_CLAIMS else details(f"{len(body)} claims of the certificate", claims)
 
 
 def _log(flight: Flight, outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[Html]:

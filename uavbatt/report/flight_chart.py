@@ -13,7 +13,7 @@ from uavbatt.records import Status
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.flight_events import Event, apart
-from uavbatt.report.page import Html, bullets, clock, duration, figure, paragraph, strong, together
+from uavbatt.report.page import Html, bullets, clock, duration, figure, missing_figure, strong, together
 from uavbatt.report.series import FlightSeries
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ ROOM_RIGHT = 38.0  # room for the minutes on the right
 def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> Html:
     """Draw the forecasts with their interval, the events, and the truth if the log shows it."""
     if not np.isfinite(rows.remaining_s).any():
-        return figure(paragraph("The remaining time was refused throughout.", css="quiet"), TITLE)
+        return missing_figure(TITLE, "The remaining time was refused throughout.")
     draw, top_min = _drawing(rows, axis, events)
     alt = f"Time left in minutes over the flight, with its 90 % interval. {_events_in_words(events)}"
     svg = plot.responsive(draw, alt, x=axis.label, y=Y_LABEL, right=ROOM_RIGHT, unit_s=axis.unit_s)

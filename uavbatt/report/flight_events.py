@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.log_replay.in_air import in_air
+from uavbatt.log_replay.in_air import first_below_s, in_air
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.navigation import Mode
 from uavbatt.notice import Kind, kind_of
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Flight, Status
-from uavbatt.scoring.end_of_flight import end_of_flight
 
 MODES = {
     Mode.MISSION: "mission", Mode.RETURN: "return", Mode.RETURN_BY_TRACK: "return", Mode.LAND: "land",
@@ -67,9 +66,7 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
     """Return the first low voltage, the first alarm, and the first “turn back now”."""
     time_s, volts = (np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V"))
     if math.isfinite(low_V) and np.isfinite(volts).any():
-        air = in_air(steps)
-        current_A, least_A = (air.current_A, air.loaded_A) if math.isfinite(air.loaded_A) else (None, -math.inf)
-        low_s = end_of_flight(time_s, volts, current_A, cutoff_V=low_V, min_current_A=least_A)
+        low_s = first_below_s(time_s, volts, in_air(steps), low_V)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
     forecasts = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]

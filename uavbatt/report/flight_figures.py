@@ -11,7 +11,7 @@ from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
-from uavbatt.report.page import Html, figure, number, paragraph
+from uavbatt.report.page import Html, figure, missing_figure, number, percent
 from uavbatt.report.series import Array, FlightSeries
 
 if TYPE_CHECKING:
@@ -29,14 +29,10 @@ def figures(rows: FlightSeries, axis: TimeAxis, outcome: Outcome, resolved: Pack
     ]
 
 
-def _missing(title: str, why: str) -> Html:
-    return figure(paragraph(why, css="quiet"), title)
-
-
 def _voltage(rows: FlightSeries, axis: TimeAxis, resolved: PackSize) -> Html:
     title = "Voltage, measured and modelled"
     if not np.isfinite(rows.voltage_V).any():
-        return _missing(title, "The log has no voltage.")
+        return missing_figure(title, "The log has no voltage.")
 
     def draw(axes: Axes) -> None:
         line(axes, axis, rows.time_s, rows.voltage_V, plot.BLUE, "measured")
@@ -65,7 +61,7 @@ def _span(values: Array, *more: float) -> tuple[float, float]:
 def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
     title = "Innovation: measured less predicted voltage"
     if not np.isfinite(rows.innovation_V).any():
-        return _missing(title, "The filter compared no voltage with its prediction.")
+        return missing_figure(title, "The filter compared no voltage with its prediction.")
     # One innovation a block of rows; rows without voltage (gaps) stay, so that no line crosses them.
     mask = np.isfinite(rows.innovation_V) | np.isnan(rows.voltage_V)
     time_s, innovation, sd = (x[mask] for x in (rows.time_s, rows.innovation_V, rows.innovation_sd_V))
@@ -81,7 +77,7 @@ def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
         axes.set_ylim(-reach, reach)
         axis.dress(axes)
 
-    inside = f" {share:.0%} of the innovations lie inside; about 95 % should." if math.isfinite(share) else ""
+    inside = f" {percent(share)} of the innovations lie inside; about 95 % should." if math.isfinite(share) else ""
     with_temp = np.isfinite(rows.temp_C).any()
     from_nis = " The band is recovered from the filter's NIS; with a measured temperature it is a lower bound."
     alt = "Difference of measured and predicted voltage over time with its expected band." + inside
@@ -91,7 +87,7 @@ def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
 
 def _current(rows: FlightSeries, axis: TimeAxis) -> Html:
     if not np.isfinite(rows.current_A).any():
-        return _missing("Current", "The log has no current.")
+        return missing_figure("Current", "The log has no current.")
 
     def draw(axes: Axes) -> None:
         line(axes, axis, rows.time_s, rows.current_A, plot.BLUE, "_current")
@@ -109,7 +105,7 @@ def _current(rows: FlightSeries, axis: TimeAxis) -> Html:
 def _temperature(rows: FlightSeries, axis: TimeAxis) -> Html:
     measured, core = np.isfinite(rows.temp_C).any(), np.isfinite(rows.core_C).any()
     if not measured and not core:
-        return _missing("Temperature", "No temperature was measured and none was estimated.")
+        return missing_figure("Temperature", "No temperature was measured and none was estimated.")
 
     def draw(axes: Axes) -> None:
         if measured:
@@ -126,7 +122,7 @@ def _temperature(rows: FlightSeries, axis: TimeAxis) -> Html:
 def _soc(rows: FlightSeries, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "State of charge"
     if not np.isfinite(rows.soc).any():
-        return _missing(title, "The state of charge was refused throughout.")
+        return missing_figure(title, "The state of charge was refused throughout.")
 
     def draw(axes: Axes) -> None:
         low, high = (np.clip(rows.soc + k * rows.soc_sd, 0.0, 1.0) for k in (-2.0, 2.0))

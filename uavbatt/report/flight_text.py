@@ -38,24 +38,27 @@ def lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[Replay
     ]
     lines += _route_lines(_route_summary(run))
     lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
+    return lines + _checked_lines(outcome)
+
+
+def _checked_lines(outcome: Outcome) -> list[str]:
+    """Return the forecasts against the end of flight that the log shows, or why they are not compared."""
     if outcome.reserve_soc > 0.0:
-        lines.append(f"  {against_a_reserve(outcome.reserve_soc)}")
-    elif math.isfinite(outcome.end_of_flight_s):
-        lines.append(
-            f"  end of flight at {outcome.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):"
-        )
-        for c in outcome.checkpoints:
-            if math.isfinite(c.remaining_s):
-                verdict = "inside" if c.inside else "outside"
-                lines.append(
-                    f"    {c.label:>13}: {_instant(c)}said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
-                    f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
-                )
-            else:
-                lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
-    else:
-        lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
-    return lines
+        return [f"  {against_a_reserve(outcome.reserve_soc)}"]
+    if not math.isfinite(outcome.end_of_flight_s):
+        return ["  the log does not reach the end of flight: no forecast of it can be checked"]
+    first = f"  end of flight at {outcome.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):"
+    return [first, *(_checkpoint_line(c) for c in outcome.checkpoints)]
+
+
+def _checkpoint_line(c: Checkpoint) -> str:
+    if not math.isfinite(c.remaining_s):
+        return f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s"
+    side = "inside" if c.inside else "outside"
+    return (
+        f"    {c.label:>13}: {_instant(c)}said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
+        f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {side} the 90 % interval"
+    )
 
 
 def plain_lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[ReplayedRow]) -> list[str]:

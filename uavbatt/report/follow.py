@@ -14,7 +14,20 @@ from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.diagnosis.words import QUANTITY
 from uavbatt.report import plot
 from uavbatt.report.diagnosis import suspect
-from uavbatt.report.page import Html, answer, bullets, element, figure, number, page, paragraph, section, strong, table
+from uavbatt.report.page import (
+    Html,
+    answer,
+    bullets,
+    element,
+    figure,
+    number,
+    page,
+    paragraph,
+    percent,
+    section,
+    strong,
+    table,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +64,7 @@ def _title(one: FollowedEffect) -> str:
 def _effect_part(one: FollowedEffect, follow: Follow, dates: Sequence[str]) -> Html:
     """Return the part on one effect: its course, its rivals, and what to check."""
     course, size = course_words(one, follow.flights, dates), f"{size_words(one)}."
-    sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."
+    sure = f"The cause is among what is named with a probability of {percent(one.found.probability)}."
     return element("div", *suspect(one.found.members, course, sure, "flights", size))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uavbatt.output import counted
 from uavbatt.plan.mission import MissionPlan, RouteFit
 from uavbatt.prediction.route_legs import way_points
 from uavbatt.records import IN_TIME
@@ -57,7 +58,7 @@ def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
     first = paragraph(
         f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
-        f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
+        f"battery ends before touchdown is {_spaced(here.risk_text)} (at most {percent(IN_TIME)} is allowed).",
     )
     charge = (
         f"with {percent(route.soc)} of the charge, probably between {percent(route.soc_lo)} and "
@@ -67,14 +68,13 @@ def _answer(plan: MissionPlan) -> Html:
         f"Touchdown after {duration(route.left_s)} {charge if math.isfinite(route.soc) else 'is not reached'}."
     )
     spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
-    turn = []
+    turn = ""
     if here.no_way_home:
-        turn = [paragraph(strong(f"{here.no_way_home}."))]
+        turn = strong(f"{here.no_way_home}.")
     elif math.isfinite(route.turn_back_lo_s):
-        words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
-        turn = [paragraph(strong(words))]
+        turn = strong(f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %.")
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
-    return answer(first, *turn, end, spare, quiet, mood="good" if here.fits else "bad")
+    return answer(first, paragraph(turn), end, spare, quiet, mood="good" if here.fits else "bad")
 
 
 def _charge(plan: MissionPlan) -> Html:
@@ -118,17 +118,22 @@ def _temperatures(plan: MissionPlan) -> Html:
 
 def _row(fit: RouteFit) -> tuple[str, ...]:
     route = fit.route
-    risk, turn = f"{route.risk:.0%}", clock(route.turn_back_lo_s)
-    fits = "yes" if fit.fits else "no"
+    fits, risk, turn = "yes" if fit.fits else "no", _spaced(fit.risk_text), clock(route.turn_back_lo_s)
     return (celsius(fit.ambient_C), fits, risk, percent(route.soc), clock(fit.spare_s), turn, fit.remark)
+
+
+def _spaced(percentage: str) -> str:
+    """Return a percentage as a page writes it: `5 %`."""
+    return percentage.replace("%", " %")
 
 
 def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
     powers, wind = plan.planned.powers, plan.planned.wind
     from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
     speed_ms = math.hypot(wind.north_ms, wind.east_ms)
+    flights = counted(powers.flights, "flight")
     return [
         *pack_facts(plan.resolved),
-        ("vehicle", f"hover {powers.hover_W:.0f} W ± {powers.level_sd:.0%}, learned from {powers.flights} flights"),
+        ("vehicle", f"hover {powers.hover_W:.0f} W ± {percent(powers.level_sd)}, learned from {flights}"),
         ("wind", f"{speed_ms:.1f} m/s from {from_deg:.0f}°" if speed_ms > 0.0 else "none"),
     ]

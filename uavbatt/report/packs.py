@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uavbatt.output import counted
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
 from uavbatt.packs.records import LedgerFlight, PackRow
 from uavbatt.packs.words import retire_words, trend_words
@@ -22,6 +23,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     table,
 )
@@ -45,22 +47,24 @@ def packs_report(
         f"Packs of {ledger}",
         "uavbatt packs",
         _headline(in_order),
-        *(
-            [contents("All packs", *(pack.name for pack, flights in histories if flights))]
-            if len(histories) > MOST_UNLISTED
-            else []
-        ),
+        _contents(histories),
         section("All packs", _side_by_side(in_order), _table(in_order)),
         *(_of_one(pack, flights) for pack, flights in histories),
         footer="Bands: 5 % to 95 %.",
     )
 
 
+def _contents(histories: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]) -> Html:
+    if len(histories) <= MOST_UNLISTED:
+        return Html("")
+    return contents("All packs", *(pack.name for pack, flights in histories if flights))
+
+
 def _headline(packs: Sequence[PackRow]) -> Html:
     if not packs:
         return answer(paragraph("No packs are remembered yet."), mood="unsure")
     first = packs[0]
-    count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered."
+    count = f"{counted(len(packs), 'pack')} remembered."
     if not math.isfinite(first.outlook.retire_flights):
         return answer(paragraph("No end in sight for any of them."), paragraph(count))
     words = paragraph(f"First to retire: {first.name}, {retire_words(first.outlook)}.")
@@ -78,9 +82,9 @@ def _table(packs: Sequence[PackRow]) -> Html:
                 pack.name,
                 "; ".join(words),
                 number(outlook.capacity_Ah, 2, "Ah"),
-                f"{outlook.capacity_Ah / pack.rated_Ah:.0%}",
+                percent(outlook.capacity_Ah / pack.rated_Ah),
                 f"{outlook.capacity_lo_Ah:.2f} to {outlook.capacity_hi_Ah:.2f} Ah",
-                f"{outlook.resistance_ohm / pack.type_ohm:.0%}",
+                percent(outlook.resistance_ohm / pack.type_ohm),
                 str(outlook.flights),
                 trend_words(outlook.capacity_trend, outlook.capacity_trend_sd),
             )
@@ -95,7 +99,7 @@ def _side_by_side(packs: Sequence[PackRow]) -> Html:
         return Html("")
 
     def draw(axes: Axes) -> None:
-        axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {RETIRED_AT:.0%}")
+        axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {percent(RETIRED_AT)}")
         for place, pack in enumerate(first_packs):
             outlook, rated = pack.outlook, pack.rated_Ah
             axes.plot([outlook.capacity_lo_Ah / rated, outlook.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)

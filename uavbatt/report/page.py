@@ -60,9 +60,14 @@ def element(tag: str, *content: str, css: str = "") -> Html:
     return Html(f"<{tag}{attribute}>{together(content, '')}</{tag}>")
 
 
+def filled(tag: str, *content: str, css: str = "") -> Html:
+    """Return the same as `element`; nothing without content."""
+    return element(tag, *content, css=css) if any(content) else Html("")
+
+
 def paragraph(*content: str, css: str = "") -> Html:
-    """Return a paragraph."""
-    return element("p", *content, css=css)
+    """Return a paragraph; nothing without words."""
+    return filled("p", *content, css=css)
 
 
 def strong(text: str) -> Html:
@@ -71,9 +76,8 @@ def strong(text: str) -> Html:
 
 
 def bullets(items: Iterable[str], css: str = "") -> Html:
-    """Return a list of `items`; empty when there is nothing to list."""
-    inner = together((element("li", item) for item in items), "")
-    return element("ul", inner, css=css) if inner else Html("")
+    """Return a list of `items`; nothing when there is nothing to list."""
+    return filled("ul", *(element("li", item) for item in items), css=css)
 
 
 def badge(verdict: str, words: str = "") -> Html:
@@ -109,8 +113,8 @@ def _anchor(title: str) -> str:
 
 
 def grid(*figures: str) -> Html:
-    """Put figures side by side where the screen is wide enough."""
-    return element("div", *figures, css="grid")
+    """Put figures side by side where the screen is wide enough; nothing without figures."""
+    return filled("div", *figures, css="grid")
 
 
 def facts(pairs: Iterable[tuple[str, str]]) -> Html:
@@ -120,8 +124,8 @@ def facts(pairs: Iterable[tuple[str, str]]) -> Html:
 
 
 def details(summary: str, *content: str) -> Html:
-    """Return content that the reader can open; on paper it is always open."""
-    return element("details", element("summary", summary), *content)
+    """Return content that the reader can open; on paper it is always open. Nothing without content."""
+    return element("details", element("summary", summary), *content) if any(content) else Html("")
 
 
 def table(
@@ -160,8 +164,12 @@ def scrolled(content: Html, label: str) -> Html:
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:
     """Put a drawing under its title and the explanation."""
-    below = paragraph(caption) if caption else Html("")
-    return element("figure", element("figcaption", strong(title), below), svg)
+    return element("figure", element("figcaption", strong(title), paragraph(caption)), svg)
+
+
+def missing_figure(title: str, why: str) -> Html:
+    """Return the title of a figure that cannot be drawn, and why."""
+    return figure(paragraph(why, css="quiet"), title)
 
 
 def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -> str:

@@ -58,8 +58,8 @@ def _answer(plan: Plan) -> Html:
         f"Until the pack is below {number(plan.resolved.cutoff_V, 1, 'V')} under load. Load: {plan.load}. Charge at "
         f"take-off: {percent(plan.start_soc)}."
     )
-    remark = [paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []
-    return answer(first, terms, *remark, status)
+    remark = paragraph(f"{celsius(here.ambient_C)}: {here.remark}." if here.remark else "")
+    return answer(first, terms, remark, status)
 
 
 def _figure(plan: Plan) -> Html:

@@ -10,7 +10,7 @@ from uavbatt.log_replay.run import ReplayedRow, RouteForecasts, route_forecasts
 from uavbatt.prediction.route_legs import Point, way_points
 from uavbatt.prediction.route_path import path, place
 from uavbatt.records import Flight, Route
-from uavbatt.report.page import Html, duration, paragraph, section
+from uavbatt.report.page import Html, duration, paragraph, percent, section
 from uavbatt.report.route_map import route_map
 
 
@@ -51,7 +51,7 @@ def _words(forecasts: Sequence[tuple[float, Route]], turn_s: float) -> str:
     time_s, last = forecasts[-1]
     words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
     if math.isfinite(last.home_soc) and not last.must_turn_back_now:  # too late, home is no promise any more
-        charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
+        charge = f"{percent(last.home_soc)} of the charge (at worst {percent(last.home_soc_lo)})"
         how = "it was expected at home" if last.is_returning else "turning back would have brought it home"
         words.append(f"At {duration(time_s)} {how} with {charge}.")
     if not words:

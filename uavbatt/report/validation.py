@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from uavbatt.output import counted
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import (
     MOODS,
@@ -69,11 +70,11 @@ def _at_home(v: ValidationPage) -> list[Claim]:
 def _answer(v: ValidationPage) -> Html:
     """Return the verdict in a sentence for pilots, the most important findings, and the limits."""
     serious = sum(f.severity == "serious" for f in v.found.findings)
-    first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
+    first = f"Read first: {counted(serious, 'serious finding')} about the tests themselves, below. "
     limits = "; ".join(f"{name} {value}" for name, value in _limits(v))
     return answer(
         paragraph(badge(v.found.verdict), f" {verdict_sentence(v)}"),
-        *([paragraph(first)] if serious else []),
+        paragraph(first if serious else ""),
         paragraph(f"Limits, declared before the data were seen: {limits}."),
         paragraph(_shipped(v.found)),
         mood=MOODS.get(v.found.verdict, ""),
@@ -143,7 +144,7 @@ def _corridors(v: ValidationPage) -> list[Html]:
         "; the surface temperature" if heat is not None else ""
     )
     more = details(named_more, grid(*folded))
-    return [grid(*figures), *([more] if folded else []), notes]
+    return [grid(*figures), more, notes]
 
 
 def _ambient(v: ValidationPage) -> list[Html]:
@@ -151,9 +152,8 @@ def _ambient(v: ValidationPage) -> list[Html]:
     others = [c for c in v.found.claims if c.ambient_C != v.found.ambient_C]
     candidates = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
     candidates += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
-    figures = [d for d in candidates if d]
-    folded = details("Curves, crossings and claims over ambient temperature", grid(*figures))
-    return [*(elsewhere(others) if others else []), *([folded] if figures else [])]
+    folded = details("Curves, crossings and claims over ambient temperature", grid(*candidates))
+    return [*(elsewhere(others) if others else []), folded]
 
 
 def _changes(loop: TemperatureLoop) -> list[Html]:
@@ -193,4 +193,4 @@ def _budgets(v: ValidationPage) -> list[Html]:
     if not with_budget:
         return [paragraph("No claim has a budget.", css="quiet")]
     tables = [budget_table(c, b) for c, b in with_budget]
-    return [*tables[:1], *([details("Budgets of the other claims", *tables[1:])] if tables[1:] else [])]
+    return [*tables[:1], details("Budgets of the other claims", *tables[1:])]

@@ -21,6 +21,7 @@ from uavbatt.report.page import (
     facts,
     number,
     paragraph,
+    percent,
     table,
     together,
 )
@@ -200,7 +201,7 @@ def _precision_row(row: LevelPrecision, quantity: str) -> tuple[str, ...]:
 
     return (
         f"{row.time_s / 60:g}", number(p.mean, decimals), shown(p.s_r), interval(p.s_r_interval), shown(p.r),
-        shown(p.s_L), shown(p.s_R), interval(p.s_R_interval), shown(p.R), _percent(p.A_r), _percent(p.A_R),
+        shown(p.s_L), shown(p.s_R), interval(p.s_R_interval), shown(p.R), percent(p.A_r), percent(p.A_R),
         str(p.n_total),
     )  # fmt: skip
 
@@ -216,10 +217,6 @@ def _precision_remarks(levels: Sequence[LevelPrecision], few: bool) -> list[str]
     if few:
         remarks.append("† too few samples: not reproducibility, and no statement on other packs of the make")
     return remarks
-
-
-def _percent(share: float) -> str:
-    return f"{share:.0%}" if math.isfinite(share) else DASH
 
 
 def budget_table(claim: Claim, budget: Budget) -> Html:
@@ -240,7 +237,7 @@ def budget_table(claim: Claim, budget: Budget) -> Html:
             f"one-sided 95 % over all instants, t up to {budget.coverage:.2f}",
         ),
         ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model − tests"),
-        ("part of the limit used", *(_percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
+        ("part of the limit used", *(percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
     ]
     caption = f"{claim.claim}, {celsius(claim.ambient_C)}; standard uncertainties in {unit}"
     return table(("source", *at, "how"), body, caption, text_columns=(0, last))

@@ -53,15 +53,11 @@ class Chain:
         following = starts.searchsorted(ends[places]).tolist()  # the first record at or behind the end of a stop
         stop, index = 0, int(starts.searchsorted(self.position))
         while self.position < until:
-            if index == len(starts):
-                self._skip(until)
-                break
-            if starts[index] > self.position:
-                self._skip(min(int(starts[index]), until))
+            if index == len(starts) or starts[index] > self.position:
+                self._skip(min(int(starts[index]), until) if index < len(starts) else until)
                 continue
             if not self.in_chain and not judge(index, False):
                 index += 1
-                self._skip(min(int(starts[index]), until) if index < len(starts) else until)
                 continue
             stop = bisect_left(stops, index, stop)
             last = stops[stop]
@@ -71,7 +67,6 @@ class Chain:
                 self.position, self.in_chain, index = int(ends[last]), True, following[stop]
             else:
                 self.position, self.in_chain, index = int(starts[last]), True, last + 1
-                self._skip(min(int(starts[index]), until) if index < len(starts) else until)
         return taken
 
     def copy(self) -> Chain:

@@ -14,9 +14,11 @@ EV    Id                                        18 landed, 28 no longer landed
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +35,7 @@ SOURCE = "log"
 _WIND = re.compile(r"(XKF2|NKF2|EKF2)$")
 _HOME_TYPE, _LANDED, _NOT_LANDED, _FIX_3D = 1, 18, 28, 3
 _WIND_STEP_S, _GPS_AGE_S = 1.0, 1.0
-_NO_FRAME = -1.0
+_NO_FRAME = -1
 PlacedEvent = tuple[int, Event]  # place in the log, event
 
 
@@ -67,16 +69,23 @@ def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterato
     """Yield modes, homes, winds, and whether the aircraft has landed."""
     name = table.layout.name
     if name == "MODE":
-        modes = zip(table.order.tolist(), time_s.tolist(), _modes(table), strict=True)
-        yield from ((place, (at_s, builder.mode, (mode,))) for place, at_s, mode in modes)
+        for (place, at_s), mode in zip(_rows(table, time_s), _modes(table), strict=True):
+            yield place, (at_s, builder.mode, (mode,))
     elif name == "ORGN":
-        yield from _homes(table, time_s, builder)
+        for place, at_s, kind, *home in _rows(table, time_s, "Type", "Lat", "Lng", "Alt"):
+            if kind == _HOME_TYPE:
+                yield place, (at_s, builder.home, (Home(*home),))
     elif name == "EV":
-        for place, at_s, event in zip(table.order.tolist(), time_s.tolist(), table.column("Id").tolist(), strict=True):
+        for place, at_s, event in _rows(table, time_s, "Id"):
             if event in (_LANDED, _NOT_LANDED):
                 yield place, (at_s, builder.landed, (event == _LANDED,))
     elif _WIND.match(name):
         yield from _winds(table, time_s, builder)
+
+
+def _rows(table: Table, time_s: Column, *labels: str) -> Iterator[tuple[Any, ...]]:
+    """Yield the place, the time [s] and the named values of each record."""
+    return zip(table.order.tolist(), time_s.tolist(), *(table.column(label).tolist() for label in labels), strict=True)
 
 
 class _Mission:
@@ -112,13 +121,10 @@ class _Mission:
 def _commands(table: Table, time_s: Column, takes: _Mission) -> Iterator[PlacedEvent]:
     """Yield the items of CMD and MISE records; an item without a frame in the log has an unknown one."""
     labels = ("CTot", "CNum", "CId", "Prm1", "Prm2", "Prm3", "Prm4", "Lat", "Lng", "Alt", "Frame")
-    columns = {label: table.column(label) for label in labels}
-    columns["Frame"] = np.where(np.isnan(columns["Frame"]), _NO_FRAME, columns["Frame"])
-    rows = zip(table.order.tolist(), time_s.tolist(), *(c.tolist() for c in columns.values()), strict=True)
-    for place, at_s, total, seq, command, p1, p2, p3, p4, lat_deg, lon_deg, alt_m, frame in rows:
-        if not (total == total and seq == seq and command == command):
+    for place, at_s, total, seq, command, *parameters_and_place, frame in _rows(table, time_s, *labels):
+        if math.isnan(total + seq + command):
             continue
-        fields = Fields(int(seq), int(frame), int(command), p1, p2, p3, p4, lat_deg, lon_deg, alt_m)
+        fields = Fields(int(seq), _NO_FRAME if math.isnan(frame) else int(frame), int(command), *parameters_and_place)
         if table.layout.name == "MISE":
             yield place, (at_s, takes.flown, (mission_item(fields),))
         else:
@@ -130,13 +136,6 @@ def _modes(table: Table) -> list[Mode]:
         if label in table.numbers:
             return [copter_mode(int(n)) if n == n else Mode.UNKNOWN for n in table.column(label).tolist()]
     return [copter_mode_named(text) for text in table.texts.get("Mode", [""] * len(table.order))]
-
-
-def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[PlacedEvent]:
-    columns = (table.column(label).tolist() for label in ("Type", "Lat", "Lng", "Alt"))
-    for place, at_s, kind, lat_deg, lon_deg, alt_m in zip(table.order.tolist(), time_s.tolist(), *columns, strict=True):
-        if kind == _HOME_TYPE:
-            yield place, (at_s, builder.home, (Home(lat_deg, lon_deg, alt_m),))
 
 
 def _positions(

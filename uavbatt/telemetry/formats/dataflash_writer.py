@@ -1,18 +1,11 @@
 """Values -> ArduPilot DataFlash log (`.BIN`).
 
-Every record is `0xA3 0x95 type` and a body laid out by the record's FMT, little endian, packed:
+Every record is `0xA3 0x95 type` and a body laid out by the record's FMT, little endian, packed; `dataflash_layouts` has
+the layouts. BAT is that of 4.1 and later with its remaining per cent. Units: V, A, mAh, Wh, ohm, degC.
 
-    FMT   BBnNZ       Type,Length,Name,Format,Columns        (n 4, N 16, Z 64 characters)
-    PARM  QNf         TimeUS,Name,Value
-    ARM   QBIBB       TimeUS,ArmState,ArmChecks,Forced,Method
-    EV    QB          TimeUS,Id                              (10 armed, 11 disarmed)
-    BAT   QBfffffcfB  TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct
-
-BAT is the layout of 4.1 and later with its remaining per cent. Units: V, A, mAh, Wh, ohm; `c` is int16 in
-hundredths (degC). Unknown floats stay NaN. `Temp` has no NaN and 0 means "no sensor" there, so an unknown
-temperature is written as 0 and a measured 0.00 degC as 0.01. RemPct unknown is 255. VoltR, EnrgTot and Res
-are the autopilot's guesses, which a sample does not hold: NaN. Cell voltages have no place in BAT and are
-left out.
+Unknown floats stay NaN. `Temp` has no NaN and 0 means "no sensor" there, so an unknown temperature is written as 0 and
+a measured 0.00 degC as 0.01. RemPct unknown is 255. VoltR, EnrgTot and Res are the autopilot's guesses, which a sample
+does not hold: NaN. Cell voltages have no place in BAT and are left out.
 
 Source: ArduPilot AP_Logger/LogStructure.h, AP_BattMonitor/LogStructure.h; checked against logs in the wild.
 """

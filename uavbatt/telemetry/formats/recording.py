@@ -9,7 +9,7 @@ from __future__ import annotations
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN
 from uavbatt.telemetry.formats.tlog_frames import frames
-from uavbatt.telemetry.formats.tlog_payloads import PARAM_VALUE, parameters
+from uavbatt.telemetry.formats.tlog_payloads import parameters
 
 PERIOD_NAME = "UAVB_FORECAST_S"
 HEAD_BYTES = 16_384
@@ -25,6 +25,5 @@ def forecast_period_s(data: bytes | memoryview) -> float:
     if not is_recording(data):
         return NAN
     said = frames(bytes(data[:HEAD_BYTES])).of(fields.PARAM_VALUE)
-    payloads = said.payloads(PARAM_VALUE.itemsize)
-    found = (value for name, value in parameters(payloads, [False] * len(payloads)) if name == PERIOD_NAME)
+    found = (value for name, value in parameters(said, [False] * len(said.start)) if name == PERIOD_NAME)
     return next((value for value in found if value > 0.0), NAN)

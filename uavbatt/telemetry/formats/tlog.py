@@ -95,7 +95,7 @@ def _autopilot(name: str, found: FrameTable, system: int | None) -> int:
     An autopilot without battery messages is chosen only if its system has batteries that are components.
     """
     beating = found.of(fields.HEARTBEAT)
-    is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
+    is_autopilot = tlog_payloads.heartbeats(beating, fields.is_autopilot)
     beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
     in_order = distinct(found.source[np.isin(found.message_id, _BATTERY_IDS)])
     candidates = [s for s in in_order if s in autopilots]
@@ -140,10 +140,9 @@ def _named(source: int) -> str:
 
 def _identity(own: FrameTable, source: int, first_s: float) -> Identity:
     """Read who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
-    beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
-    make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
-    said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)
-    told = said.view(tlog_payloads.AUTOPILOT_VERSION)[:1, 0].tolist()
+    beats = own.of(fields.HEARTBEAT).records(tlog_payloads.HEARTBEAT)
+    make = _MAKES.get(int(beats["autopilot"][0]), "") if len(beats) else ""
+    told = own.of(fields.AUTOPILOT_VERSION).records(tlog_payloads.AUTOPILOT_VERSION)[:1].tolist()
     hardware = next((fields.hardware(uid) for uid, _ in told), "")
     number = next((version(number) for _, number in told if number), "")
     return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
@@ -151,9 +150,9 @@ def _identity(own: FrameTable, source: int, first_s: float) -> Identity:
 
 def _beats(own: FrameTable, time_s: Column) -> _Beats:
     place = own.places(fields.HEARTBEAT)
-    payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
-    is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
-    said = tlog_payloads.heartbeats(payloads, fields.is_armed)
+    beats = own.at(place)
+    is_px4 = tlog_payloads.heartbeats(beats, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
+    said = tlog_payloads.heartbeats(beats, fields.is_armed)
     is_soon = np.diff(time_s[place], prepend=-math.inf) <= BEATING_S  # as in flight: two heartbeats in a row disarm
     return _Beats(place, said | (np.roll(said, 1) & is_soon), is_px4)
 
@@ -162,15 +161,14 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
     """Add the parameters whose statements count, by the same rules as in flight (`HeardParameters`)."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     statements = own.at(place)
-    payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
     # Before the first heartbeat the vehicle counts as disarmed and not as PX4; integers wait for it, as in flight.
     if len(beats.place):
-        waits = (place < beats.place[0]) & tlog_payloads.are_integers(payloads)
+        waits = (place < beats.place[0]) & tlog_payloads.are_integers(statements)
         place = np.where(waits, beats.place[0], place)
     last = latest_before(place + 1, beats.place).tolist()
     is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
     is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
-    said = [*tlog_payloads.parameters(payloads, is_px4)]
+    said = [*tlog_payloads.parameters(statements, is_px4)]
     at_s, sequences = time_s[place].tolist(), statements.sequence.tolist()
     for k in np.argsort(place, kind="stable").tolist():
         name, value = said[k]
@@ -199,7 +197,7 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
             place, is_told = _alone(place, told, time_s), False
         if is_told or not len(place):
             continue
-        said = kind.messages(own.at(place).payloads(kind.layout.itemsize))
+        said = kind.messages(own.at(place))
         if message_id == fields.BATTERY_STATUS:
             said = _completed(own, time_s, beats, place, said)
             ids, told = distinct(said.instance), place[said.voltage_V > 0.0]
@@ -225,8 +223,7 @@ def _completed(
     heard, last = own.places(fields.SYS_STATUS), latest_before(place, beats.place)
     if said.cells_V is None:
         return said
-    kind = tlog_payloads.KINDS[fields.SYS_STATUS]
-    volts = kind.messages(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
+    volts = tlog_payloads.KINDS[fields.SYS_STATUS].messages(own.at(heard)).voltage_V
     row = BatteryStatusRows(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
     return with_all_cells(said, row, HeardMessages(heard, volts), time_s[heard])
 

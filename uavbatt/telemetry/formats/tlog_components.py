@@ -35,36 +35,30 @@ class LoggedComponents(NamedTuple):
 def battery_sources(found: FrameTable) -> set[int]:
     """Return the sources that say by a heartbeat that they are batteries and that send BATTERY_STATUS."""
     beating = found.of(fields.HEARTBEAT)
-    is_battery = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_battery)
+    is_battery = tlog_payloads.heartbeats(beating, fields.is_battery)
     return set(beating.source[is_battery].tolist()) & set(found.of(fields.BATTERY_STATUS).source.tolist())
 
 
 def battery_components(found: FrameTable, autopilot: int) -> LoggedComponents:
     """Return the battery components that speak for the vehicle of this autopilot; none without an autopilot (-1)."""
+    none = LoggedComponents(np.zeros(len(found.source), np.bool_), set(), [])
     sources = {source for source in battery_sources(found) if source >> 8 == autopilot >> 8 and source != autopilot}
-    none = np.zeros(len(found.source), np.bool_)
     if not sources:
-        return LoggedComponents(none, set(), [])
+        return none
     told = dict(_told(found, autopilot))
-    first_told = min(told.values(), default=len(none))
+    first_told = min(told.values(), default=len(found.source))
     first_s = found.time_s[found.source == autopilot][0]
     if told and found.time_s[first_told] - first_s < FALLBACK_AFTER_S:
-        return LoggedComponents(none, set(), [])
+        return none
     place = found.places(fields.BATTERY_STATUS)
     place = place[np.isin(found.source[place], list(sources))]
+    numbers = tlog_payloads.KINDS[fields.BATTERY_STATUS].messages(found.at(place)).instance
+    said = [*zip(found.source[place].tolist(), numbers.tolist(), strict=True)]
     early = set(found.source[place[place < first_told]].tolist())
-    kind = tlog_payloads.KINDS[fields.BATTERY_STATUS]
-    said = [*zip(
-        found.source[place].tolist(),
-        kind.messages(found.at(place).payloads(kind.layout.itemsize)).instance.tolist(),
-        strict=True,
-    )]  # fmt: skip
-    owners: dict[int, int] = {}
-    for source, number in dict.fromkeys(said):
-        if source in early and number not in told:
-            owners.setdefault(number, source)
+    # reversed: of several components that send a battery id, the first to do so has it
+    owners = {number: source for source, number in reversed(said) if source in early and number not in told}
     used = set(owners.values())
-    chosen = none.copy()
+    chosen = none.frames.copy()
     chosen[place] = [owners.get(number) == source for source, number in said]
     chosen |= np.isin(found.source, list(used)) & np.isin(found.message_id, list(fields.IDENTITY_LENGTH))
     unused = [(s, number) for s, number in dict.fromkeys(said) if s in used and owners.get(number) != s]
@@ -76,6 +70,6 @@ def _told(found: FrameTable, autopilot: int) -> Iterator[tuple[int, int]]:
     for message_id, kind in tlog_payloads.KINDS.items():
         place = found.places(message_id)
         place = place[found.source[place] == autopilot]
-        said = kind.messages(found.at(place).payloads(kind.layout.itemsize))
+        said = kind.messages(found.at(place))
         for number in set(said.instance[said.voltage_V > 0.0].tolist()):
             yield number, int(place[(said.instance == number) & (said.voltage_V > 0.0)][0])

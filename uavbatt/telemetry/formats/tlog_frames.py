@@ -79,6 +79,10 @@ class FrameTable:
         found[np.arange(width) >= self.length[:, None]] = 0
         return found
 
+    def records(self, layout: np.dtype[Any]) -> Any:
+        """Return the payloads as records, one each; `layout` has at least the last field that is read."""
+        return self.payloads(layout.itemsize).view(layout)[:, 0]
+
     def places(self, message_id: int) -> Places:
         """Return the indices of the frames of this message."""
         return np.flatnonzero(self.message_id == message_id)

@@ -15,22 +15,25 @@ from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
 from uavbatt.telemetry.columns import Column, distinct
-from uavbatt.telemetry.formats.chain import Bytes, Mask
+from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.tlog_frames import FrameTable
 
-HEARTBEAT = np.dtype([("custom_mode", "<u4"), ("type", "u1"), ("autopilot", "u1"), ("base_mode", "u1")])
-PARAM_VALUE = np.dtype([("value", "<f4"), ("count", "<u2"), ("index", "<u2"), ("id", "S16"), ("type", "u1")])
-SYS_STATUS = np.dtype(
-    {"names": ["voltage", "current", "remaining"], "formats": ["<u2", "<i2", "i1"], "offsets": [14, 16, 30]}
-)
-BATTERY2 = np.dtype([("voltage", "<u2"), ("current", "<i2")])
-BATTERY_STATUS = np.dtype(
-    {
-        "names": ["consumed", "temperature", "voltages", "current", "id", "remaining", "voltages_ext"],
-        "formats": ["<i4", "<i2", ("<u2", 10), "<i2", "u1", "i1", ("<u2", 4)],
-        "offsets": [0, 8, 10, 30, 32, 35, 41],
-    }
-)
-AUTOPILOT_VERSION = np.dtype({"names": ["uid", "flight_sw"], "formats": ["<u8", "<u4"], "offsets": [8, 16]})
+
+def layout_of(**fields: tuple[Any, int]) -> np.dtype[Any]:
+    """Return the layout of a payload, made from the type and the offset of each field that is read."""
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets})
+
+
+HEARTBEAT = layout_of(type=("u1", 4), autopilot=("u1", 5), base_mode=("u1", 6))
+PARAM_VALUE = layout_of(value=("<f4", 0), id=("S16", 8), type=("u1", 24))
+SYS_STATUS = layout_of(voltage=("<u2", 14), current=("<i2", 16), remaining=("i1", 30))
+BATTERY2 = layout_of(voltage=("<u2", 0), current=("<i2", 2))
+BATTERY_STATUS = layout_of(
+    consumed=("<i4", 0), temperature=("<i2", 8), voltages=(("<u2", 10), 10), current=("<i2", 30), id=("u1", 32),
+    remaining=("i1", 35), voltages_ext=(("<u2", 4), 41),
+)  # fmt: skip
+AUTOPILOT_VERSION = layout_of(uid=("<u8", 8), flight_sw=("<u4", 16))
 _SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest in the next entry
 
 
@@ -52,14 +55,14 @@ class BatteryMessages(NamedTuple):
 
 
 class MessageKind(NamedTuple):
-    """A MessageKind of battery message has a layout, and a function that says what its payloads mean."""
+    """A MessageKind of battery message has a layout, and a function that says what its records mean."""
 
     layout: np.dtype[Any]
     read: Callable[[Any], BatteryMessages]
 
-    def messages(self, payloads: Bytes) -> BatteryMessages:
-        """Return what the payloads say."""
-        return self.read(payloads.view(self.layout)[:, 0])
+    def messages(self, frames: FrameTable) -> BatteryMessages:
+        """Return what frames of this kind say."""
+        return self.read(frames.records(self.layout))
 
 
 class _Beat(NamedTuple):
@@ -74,9 +77,9 @@ class _Parameter(NamedTuple):
     param_type: int
 
 
-def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
+def heartbeats(frames: FrameTable, is_so: Callable[[Any], bool]) -> Mask:
     """Return the mask of the heartbeats for which `is_so` holds; it is asked once for each kind of heartbeat."""
-    beats = payloads.view(HEARTBEAT)[:, 0]
+    beats = frames.records(HEARTBEAT)
     packed = beats["type"].astype(np.int32) << 16 | beats["autopilot"].astype(np.int32) << 8 | beats["base_mode"]
     found = np.zeros(len(packed), np.bool_)
     for kind in distinct(packed):
@@ -85,18 +88,18 @@ def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
     return found
 
 
-def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:
+def parameters(frames: FrameTable, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:
     """Yield the name and value of every PARAM_VALUE."""
-    messages = payloads.view(PARAM_VALUE)[:, 0]
+    messages = frames.records(PARAM_VALUE)
     columns = (messages["id"].tolist(), messages["value"].tolist(), messages["type"].tolist())
     for name, value, kind, px4 in zip(*columns, is_px4, strict=True):
         text = name.split(b"\0", 1)[0].decode("ascii", errors="replace")
         yield fields.parameter(_Parameter(text, value, kind), px4)
 
 
-def are_integers(payloads: Bytes) -> Mask:
-    """Return the mask of the PARAM_VALUE payloads that hold an integer."""
-    return np.isin(payloads.view(PARAM_VALUE)["type"][:, 0], list(fields.INTEGER_CODES))
+def are_integers(frames: FrameTable) -> Mask:
+    """Return the mask of the PARAM_VALUE frames that hold an integer."""
+    return np.isin(frames.records(PARAM_VALUE)["type"], list(fields.INTEGER_CODES))
 
 
 def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
@@ -131,24 +134,18 @@ def _battery_status(messages: Any) -> BatteryMessages:
 
 
 def _sys_status(messages: Any) -> BatteryMessages:
-    unknown = np.full(len(messages), np.nan)
-    instance = np.zeros(len(messages), np.int64)
-    return BatteryMessages(
-        instance,
-        _voltage_V(messages["voltage"]),
-        _current_A(messages["current"]),
-        unknown,
-        unknown,
-        _soc(messages["remaining"]),
-    )
+    return _of_one_battery(0, messages)._replace(reported_soc=_soc(messages["remaining"]))
 
 
 def _battery2(messages: Any) -> BatteryMessages:
-    unknown = np.full(len(messages), np.nan)
-    instance = np.ones(len(messages), np.int64)
-    return BatteryMessages(
-        instance, _voltage_V(messages["voltage"]), _current_A(messages["current"]), unknown, unknown, unknown
-    )
+    return _of_one_battery(1, messages)
+
+
+def _of_one_battery(number: int, messages: Any) -> BatteryMessages:
+    """Return what a kind of message that names no battery says of voltage and current."""
+    instance, unknown = np.full(len(messages), number, np.int64), np.full(len(messages), np.nan)
+    voltage_V, current_A = _voltage_V(messages["voltage"]), _current_A(messages["current"])
+    return BatteryMessages(instance, voltage_V, current_A, unknown, unknown, unknown)
 
 
 KINDS = {

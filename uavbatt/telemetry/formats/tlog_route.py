@@ -15,6 +15,7 @@ from uavbatt.navigation import Navigation
 from uavbatt.telemetry.columns import Column, latest_before
 from uavbatt.telemetry.formats.chain import Mask, Places
 from uavbatt.telemetry.formats.tlog_frames import FrameTable
+from uavbatt.telemetry.formats.tlog_payloads import layout_of
 from uavbatt.telemetry.route import messages
 from uavbatt.telemetry.route.events import Event, play
 from uavbatt.telemetry.route.messages import NavigationListener
@@ -28,25 +29,9 @@ class _Kind(NamedTuple):
     take: Callable[[float, int, Any], None]
 
 
-class Layout(NamedTuple):
-    """A Layout names the fields of a message that are read, as they lie in its payload, and the tuple they become."""
-
-    record: np.dtype[Any]
-    message: Any
-
-
-def _layout(**fields: tuple[str, int]) -> Layout:
-    """Return a layout made from the type and the offset of each field."""
-    names = list(fields)
-    record = np.dtype(
-        {"names": names, "formats": [f for f, _ in fields.values()], "offsets": [o for _, o in fields.values()]}
-    )
-    return Layout(record, namedtuple("Message", names))
-
-
-def _item(place: str) -> Layout:
+def _item(place: str) -> np.dtype[Any]:
     """Return the layout of MISSION_ITEM or MISSION_ITEM_INT, which write the place differently."""
-    return _layout(
+    return layout_of(
         param1=("<f4", 0), param2=("<f4", 4), param3=("<f4", 8), param4=("<f4", 12), x=(place, 16), y=(place, 20),
         z=("<f4", 24), seq=("<u2", 28), command=("<u2", 30), target_system=("u1", 32), target_component=("u1", 33),
         frame=("u1", 34), mission_type=("u1", 37),
@@ -54,33 +39,34 @@ def _item(place: str) -> Layout:
 
 
 LAYOUTS = {
-    messages.HEARTBEAT: _layout(custom_mode=("<u4", 0), type=("u1", 4), autopilot=("u1", 5)),
-    messages.GLOBAL_POSITION_INT: _layout(
+    messages.HEARTBEAT: layout_of(custom_mode=("<u4", 0), type=("u1", 4), autopilot=("u1", 5)),
+    messages.GLOBAL_POSITION_INT: layout_of(
         lat=("<i4", 4), lon=("<i4", 8), relative_alt=("<i4", 16), vx=("<i2", 20), vy=("<i2", 22), vz=("<i2", 24)
     ),
-    messages.VFR_HUD: _layout(airspeed=("<f4", 0)),
-    messages.WIND: _layout(direction=("<f4", 0), speed=("<f4", 4)),
-    messages.WIND_COV: _layout(wind_x=("<f4", 8), wind_y=("<f4", 12), var_horiz=("<f4", 20)),
-    messages.HOME_POSITION: _layout(latitude=("<i4", 0), longitude=("<i4", 4), altitude=("<i4", 8)),
-    messages.EXTENDED_SYS_STATE: _layout(landed_state=("u1", 1)),
-    messages.MISSION_CURRENT: _layout(seq=("<u2", 0), total=("<u2", 2), mission_id=("<u4", 6)),
-    messages.MISSION_ITEM_REACHED: _layout(seq=("<u2", 0)),
-    messages.MISSION_COUNT: _layout(
+    messages.VFR_HUD: layout_of(airspeed=("<f4", 0)),
+    messages.WIND: layout_of(direction=("<f4", 0), speed=("<f4", 4)),
+    messages.WIND_COV: layout_of(wind_x=("<f4", 8), wind_y=("<f4", 12), var_horiz=("<f4", 20)),
+    messages.HOME_POSITION: layout_of(latitude=("<i4", 0), longitude=("<i4", 4), altitude=("<i4", 8)),
+    messages.EXTENDED_SYS_STATE: layout_of(landed_state=("u1", 1)),
+    messages.MISSION_CURRENT: layout_of(seq=("<u2", 0), total=("<u2", 2), mission_id=("<u4", 6)),
+    messages.MISSION_ITEM_REACHED: layout_of(seq=("<u2", 0)),
+    messages.MISSION_COUNT: layout_of(
         count=("<u2", 0), target_system=("u1", 2), target_component=("u1", 3), mission_type=("u1", 4)
     ),
     messages.MISSION_ITEM: _item("<f4"),
     messages.MISSION_ITEM_INT: _item("<i4"),
-    messages.MISSION_ACK: _layout(
+    messages.MISSION_ACK: layout_of(
         target_system=("u1", 0), target_component=("u1", 1), type=("u1", 2), mission_type=("u1", 3)
     ),
-    messages.MISSION_CLEAR_ALL: _layout(
+    messages.MISSION_CLEAR_ALL: layout_of(
         target_system=("u1", 0), target_component=("u1", 1), mission_type=("u1", 2)
     ),
-    messages.MISSION_WRITE_PARTIAL_LIST: _layout(
+    messages.MISSION_WRITE_PARTIAL_LIST: layout_of(
         start_index=("<i2", 0), end_index=("<i2", 2), target_system=("u1", 4), target_component=("u1", 5),
         mission_type=("u1", 6),
     ),
 }  # fmt: skip
+MESSAGES: dict[int, Any] = {number: namedtuple("Message", layout.names or ()) for number, layout in LAYOUTS.items()}
 _ALL_COMPONENTS = 0
 _MICROSECOND_S = 1e-6
 _LONGEST_STEP_S = 60.0  # stamps have no checksum: one that leaps further is damaged
@@ -141,7 +127,7 @@ def _of_others(found: FrameTable, source: int, listener: NavigationListener) -> 
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
     for message_id in messages.OF_OTHERS if len(others.start) else ():
         frames = others.of(message_id)
-        said = _records(frames, LAYOUTS[message_id])
+        said = frames.records(LAYOUTS[message_id])
         is_to_it = np.isin(said["target_component"], (_ALL_COMPONENTS, source & 0xFF))
         yield _Kind(message_id, frames.at(is_to_it & (said["target_system"] == source >> 8)), listener.take_other)
 
@@ -162,18 +148,13 @@ def _in_order(kinds: Sequence[_Kind], clock: TlogClock) -> Iterator[Event]:
 
 def _decoded(frames: FrameTable, message_id: int) -> Iterator[Any]:
     """Return the messages of the frames as light tuples."""
-    layout = LAYOUTS[message_id]
-    return map(layout.message._make, _records(frames, layout).tolist())
-
-
-def _records(frames: FrameTable, layout: Layout) -> Any:
-    return frames.payloads(layout.record.itemsize).view(layout.record)[:, 0]
+    return map(MESSAGES[message_id]._make, frames.records(LAYOUTS[message_id]).tolist())
 
 
 def _changes(beats: FrameTable) -> Mask:
     """Mark the heartbeats with another mode than the one before."""
     if not len(beats.start):
         return np.zeros(0, np.bool_)
-    said = _records(beats, LAYOUTS[messages.HEARTBEAT])
+    said = beats.records(LAYOUTS[messages.HEARTBEAT])
     differs = [said[name][1:] != said[name][:-1] for name in said.dtype.names]
     return np.concatenate(([True], np.any(differs, axis=0)))
