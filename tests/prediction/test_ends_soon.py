@@ -69,9 +69,9 @@ def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None
 def test_the_time_by_the_voltage_is_not_lost_when_the_belief_changes_its_mind() -> None:
     """12S of 22 Ah, stated as 220 Ah, a row every 2 s: 44, 78 and 620 s were said in the last 23 s."""
     pack = Pack(capacity_Ah=22.0, soc=0.6, size_Ah=22.0, cells=12)
-    ground = rested(pack, 20, 0.0)
+    ground = drawn(pack, [66.0] * 15, 0.0, armed=False).rows
     powers = (13.2 * watts for watts in Power().rows_W(3))
-    rows = [*ground, *drawn(pack, powers, 20.0, ground[-1].consumed_Ah, cutoff_V=3.0 * CUTOFF_V).rows][::2]
+    rows = [*ground, *drawn(pack, powers, 15.0, ground[-1].consumed_Ah, cutoff_V=3.0 * CUTOFF_V).rows][::2]
     options = PackOptions(cells=12, capacity_Ah=220.0, cutoff_V=3.0 * CUTOFF_V)
     run = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows)
     end_s = rows[-1].time_s
