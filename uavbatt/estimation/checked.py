@@ -1,13 +1,15 @@
-"""Samples that a program hands in, checked before any equation sees them."""
+"""Samples and records that a program hands in, checked before any equation sees them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TypeVar
 
 from uavbatt.errors import UsageError
 from uavbatt.limits import checked_number
 from uavbatt.records import Sample
 
+Record = TypeVar("Record")
 NUMBERS = ("time_s", "voltage_V", "current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 
@@ -17,6 +19,13 @@ def checked_samples(samples: Iterable[Sample]) -> list[Sample]:
     Raises UsageError, which names the field, for a value that is no Sample, or whose fields are no numbers.
     """
     return [_checked(sample) for sample in samples]
+
+
+def checked_record(kind: type[Record], name: str, value: object) -> Record:
+    """Return a record. Raises UsageError, which begins with `name`, for a value of another kind."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{name}={value!r:.60}: expected {kind.__name__}(...)")
+    return value
 
 
 def _checked(sample: object) -> Sample:
