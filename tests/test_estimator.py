@@ -234,6 +234,12 @@ def test_another_capacity_starts_anew() -> None:
     assert estimator.pack_size.capacity_Ah == 3.0
 
 
+def test_facts_of_another_kind_are_named() -> None:
+    estimator = Estimator(battery_file.read_battery("lipo-generic"))
+    with pytest.raises(UsageError, match="facts=None: expected PackFacts"):
+        estimator.update_facts(None)  # type: ignore[arg-type]
+
+
 # --- what a reader must know beside the number -------------------------------------------------------------------
 
 

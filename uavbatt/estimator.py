@@ -31,7 +31,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.checked import checked_samples
+from uavbatt.estimation.checked import checked_record, checked_samples
 from uavbatt.estimation.filter import NO_VOLTAGE, SocFilter, estimate_of, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -138,9 +138,9 @@ class Estimator:
     def update_facts(self, facts: PackFacts) -> None:
         """Take in the vehicle's statements about its pack, known from now on.
 
-        New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
+        New voltages change the forecast; another size of pack starts the estimate anew. UsageError for other records.
         """
-        if facts != self._known.facts:
+        if checked_record(PackFacts, "facts", facts) != self._known.facts:
             self._cleaner = self._cleaner.with_facts(facts)
             self._know(self._known.with_facts(facts))
 

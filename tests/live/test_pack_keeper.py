@@ -238,6 +238,37 @@ def test_a_flight_is_saved_whole_though_the_ledger_was_locked(tmp_path, rows, lo
     assert_saved_whole(path, rows)
 
 
+@pytest.mark.parametrize("back", (0.7, 1.0), ids=("back_in_the_air", "back_after_the_landing"))
+def test_a_flight_is_saved_whole_though_the_ledger_was_away(tmp_path, rows, back, capsys):
+    """The memory stick is pulled out in the air; what SQLite still wrote went to a file that nobody has."""
+    folder, away = tmp_path / "stick", tmp_path / "pocket"
+    folder.mkdir()
+    kept, first, last = keeper(folder / "packs.sqlite"), int(0.4 * len(rows)), int(back * len(rows))
+    settled(flown(kept, rows[:first]))
+    folder.rename(away)
+    settled(flown(kept, rows[first:last]))
+    assert "it is gone" in kept.note
+    assert capsys.readouterr().err.count("it is gone") == 1
+    assert not (folder / "packs.sqlite").exists()
+    away.rename(folder)
+    flown(kept, rows[last:]).look_after(rows[-1].time_s)
+    kept.close(rows[-1].time_s)
+    assert "flight remembered" in kept.note
+    assert_saved_whole(folder / "packs.sqlite", rows)
+
+
+def test_a_ledger_that_was_replaced_in_the_air_holds_the_rest_of_the_flight(tmp_path, rows):
+    path, half = tmp_path / "packs.sqlite", len(rows) // 2
+    kept = flown(keeper(path), rows[:half])
+    settled(kept)
+    path.rename(tmp_path / "first.sqlite")
+    Ledger(path).close()
+    flown(kept, rows[half:]).close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+    assert found.flight.duration_s == pytest.approx(rows[-1].time_s - rows[half].time_s, abs=30.0)
+
+
 def test_a_pack_that_is_forgotten_in_the_air_is_not_tried_for_ever(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     kept = flown(keeper(path), rows[: len(rows) // 2])

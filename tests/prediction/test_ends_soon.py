@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
-from scoring.other_pack import CELLS, CUTOFF_V, Pack, flown, rested
+from scoring.other_pack import CELLS, CUTOFF_V, Pack, Power, drawn, flown, rested
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
@@ -63,3 +64,17 @@ def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None
     said = [remaining for _, remaining in estimator.run([*rows, *under])][len(rows) + 5 :]
     assert {remaining.remaining_s for remaining in said} == {0.0}
     assert not any(remaining.status is Status.OK for remaining in said)
+
+
+def test_the_time_by_the_voltage_is_not_lost_when_the_belief_changes_its_mind() -> None:
+    """12S of 22 Ah, stated as 220 Ah, a row every 2 s: 44, 78 and 620 s were said in the last 23 s."""
+    pack = Pack(capacity_Ah=22.0, soc=0.6, size_Ah=22.0, cells=12)
+    ground = drawn(pack, [66.0] * 15, 0.0, armed=False).rows
+    powers = (13.2 * watts for watts in Power().rows_W(3))
+    rows = [*ground, *drawn(pack, powers, 15.0, ground[-1].consumed_Ah, cutoff_V=3.0 * CUTOFF_V).rows][::2]
+    options = PackOptions(cells=12, capacity_Ah=220.0, cutoff_V=3.0 * CUTOFF_V)
+    run = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows)
+    end_s = rows[-1].time_s
+    said_s = [remaining.remaining_s for estimate, remaining in run if estimate.time_s >= end_s - 45.0]
+    assert all(later < before + 5.0 for before, later in pairwise(said_s))
+    assert said_s[-1] < 10.0

@@ -1,13 +1,15 @@
-"""Samples that a program hands in, checked before any equation sees them."""
+"""Samples and records that a program hands in, checked before any equation sees them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TypeVar
 
 from uavbatt.errors import UsageError
 from uavbatt.limits import checked_number
 from uavbatt.records import Sample
 
+Record = TypeVar("Record")
 NUMBERS = ("time_s", "voltage_V", "current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 
@@ -25,3 +27,10 @@ def checked_samples(samples: Iterable[Sample]) -> list[Sample]:
             if type(value) is not float:  # the usual case, and much quicker than a check of what can become one
                 checked_number(f"sample.{name}=", value)
     return found
+
+
+def checked_record(kind: type[Record], name: str, value: object) -> Record:
+    """Return a record. Raises UsageError, which begins with `name`, for a value of another kind."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{name}={value!r:.60}: expected {kind.__name__}(...)")
+    return value

@@ -192,9 +192,12 @@ class Batteries:
         )
         try:
             state.write_state(Path(path), content, self._clocks(now_s))
-            self._problem = ""
+            problem = ""
         except (OSError, UavbattError) as error:
-            self._problem = f"state not saved: {error}"
+            problem = f"state not saved: {error}"
+        if problem not in ("", self._problem):
+            tell(problem)
+        self._problem = problem
 
     @property
     def _vehicle(self) -> state.SavedVehicle:

@@ -29,6 +29,7 @@ class FlightInAir:
     flight: Airborne
     start_s: float  # monotonic
     number: int | None = None  # in the ledger; None until it is stored
+    ledger: object = None  # the open ledger that holds it under this number
     rows: deque[Sample] = field(default_factory=_waiting)  # not stored yet; times from the start
     writing: Future[None] | None = None
 

@@ -5,7 +5,8 @@
     landing           -> the record of the flight, saved
 
 The disk may be slow, and another program may hold the ledger. So one thread beside the loop does all the writing, and
-the loop never waits. Rows that could not be written are kept and written with the next ones, or after the landing.
+the loop never waits. Rows that could not be written are kept and written with the next ones, or after the landing. If
+the file disappears (a memory stick that is pulled out), the flights wait until it is back: no other one is made.
 
 A flight that an earlier process left may still be in the air. It counts as landed only if no rows have come since.
 """
@@ -22,8 +23,9 @@ from typing import TypeVar
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.errors import UavbattError
+from uavbatt.errors import BadInput, UavbattError
 from uavbatt.live.kept_flight import FlightInAir, LedgerBattery
+from uavbatt.live.log import tell
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, UnfinishedFlight
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
@@ -56,8 +58,8 @@ class PackKeeper:
         self._kept: dict[int, LedgerBattery] = {}
         self._landing: deque[tuple[LedgerBattery, FlightInAir]] = deque(maxlen=MOST_LANDING)  # not yet in the ledger
         self.note = ""
-        self._ledger = Ledger(path)
-        self._left_over = {left.number: left for left in airborne.left_over(self._ledger)}
+        self._opened, self._is_doubted = Ledger(path), False
+        self._left_over = {left.number: left for left in airborne.left_over(self._opened)}
         self._ask_s: dict[int, float] = {}  # when to ask whether it has grown, monotonic
 
     def begin_vehicle(self) -> None:
@@ -126,7 +128,18 @@ class PackKeeper:
                 self._flush(kept, kept.flying, now_s)
         self._land_again()
         self._worker.shutdown()
-        self._ledger.close()
+        self._opened.close()
+
+    @property
+    def _ledger(self) -> Ledger:
+        """Return the ledger, opened anew if its file was away and is back. Raises BadInput while it is away."""
+        if self._opened.is_gone or self._is_doubted:
+            if not self._path.exists():
+                raise BadInput(self._path, "", "the pack ledger, and it is gone: flights wait until it is back")
+            fresh = Ledger(self._path)
+            self._opened.close()
+            self._opened, self._is_doubted = fresh, False
+        return self._opened
 
     def _take_off(self, kept: LedgerBattery, now_s: float, cells: int, capacity_Ah: float) -> None:
         """Begin a flight when the pack is armed, or go on with the flight of a process that died."""
@@ -156,11 +169,12 @@ class PackKeeper:
 
     def _write(self, flying: FlightInAir) -> None:
         """Store a flight and its rows; rows that cannot be written now are stored the next time."""
-        if flying.number is None:
-            flying.number = airborne.store_flight(self._ledger, flying.flight)
-        rows = flying.take_rows()
+        ledger = self._ledger
+        if flying.number is None or (flying.ledger is not ledger and not self._is_stored(flying)):
+            flying.number = airborne.store_flight(ledger, flying.flight)
+        flying.ledger, rows = ledger, flying.take_rows()
         try:
-            airborne.store_rows(self._ledger, flying.number, rows)
+            airborne.store_rows(ledger, flying.number, rows)
         except UavbattError:
             flying.give_back(rows)
             raise
@@ -184,21 +198,37 @@ class PackKeeper:
         try:
             self._write(flying)
         except UavbattError:
-            if flying.number is None or self._airborne(flying.number) is not None:  # else the user deleted the pack
+            if self._may_wait(flying):
                 self._landing.append((kept, flying))
             raise
         assert flying.number is not None
         self._learn(flying.number)
         return self._health_of(kept.name, kept.last_s)
 
+    def _is_stored(self, flying: FlightInAir) -> bool:
+        """Return True if the ledger holds this flight under its number."""
+        found = self._airborne(flying.number) if flying.number is not None else None
+        return found is not None and found.flight.name == flying.flight.name
+
+    def _may_wait(self, flying: FlightInAir) -> bool:
+        """Return True if a landed flight is to be written later; False if the user has deleted its pack."""
+        try:
+            return flying.number is None or self._airborne(flying.number) is not None
+        except UavbattError:
+            return True
+
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
         """Run work in the thread; on an error set the note and return None, so that the process goes on."""
         try:
             return work(*arguments)
         except UavbattError as error:
-            self.note = f"pack ledger: {error}"
+            words = f"pack ledger: {error}"
         except Exception as error:  # in flight nothing ends the process
-            self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
+            words = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
+        self._is_doubted = True
+        if words != self.note:
+            tell(words)
+        self.note = words
         return None
 
     def _look_up(self, name: str, now_s: float) -> PackHealth | None:

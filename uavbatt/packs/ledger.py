@@ -18,7 +18,7 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
 from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.dates import CLOCKS_APART_S
-from uavbatt.packs.opening import BROKEN, open_file, words_of
+from uavbatt.packs.opening import BROKEN, file_identity, open_file, words_of
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
 
@@ -64,12 +64,18 @@ class Ledger:
         except BaseException:
             self._connection.close()
             raise
+        self._identity = file_identity(self.path)
 
     def __enter__(self) -> Ledger:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
+
+    @property
+    def is_gone(self) -> bool:
+        """Return True if the file is not at its path any more: what is written now would be lost."""
+        return file_identity(self.path) != self._identity
 
     def close(self) -> None:
         """Close the file; what was saved is saved."""

@@ -37,6 +37,15 @@ def open_file(path: Path, only_read: bool) -> sqlite3.Connection:
     return connection
 
 
+def file_identity(path: Path) -> tuple[int, int] | None:
+    """Return what tells this file from another one at the same path; None if there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 def _is_on_read_only(path: Path) -> bool:
     """Return True for a ledger that nobody can be writing: SQLite must not look for a lock that it cannot make."""
     whole = path.resolve()

@@ -2,13 +2,18 @@
 
     V + v_lag = a + b t + c t² - r I    least squares over 40 s and over 60 s, t = 0 now, c <= 0 <= r
     h + b t + c t² = 0                  h: what is left above the cut-off under the window's mean current
+    v_lag = R_f I_f + R_s I_s           the lagging overpotentials, as multiples of the lagging currents
+    I_f' = (I - I_f) / tau_f            I_s' in the same way
 
-It does not depend on the believed charge. Of the model only the lagging overpotentials are used, so that the sag
-after a climb is not taken for an emptying pack. The longer time of the two windows counts, and only when both falls
-stand out of their scatter. On packs of many makes that time is right to a factor of two in the last 45 s, and too
-long before: so it can shorten a forecast and never lengthens one. Rows slower than every three seconds show no such
-fall. While the current is unknown the voltage is fitted as it is measured, without sag and lag: there is no time to
-shorten then, but the crew is told that the end is near.
+It does not depend on the believed charge. The lagging overpotentials are those of the belief now, so that the sag after
+a climb is not taken for an emptying pack. Their course over the window comes from the current alone: the belief may
+change its mind about the capacity within a few rows, and with it the overpotentials that it held before. The longer
+time of the two windows counts, and only when both falls stand out of their scatter. If they do not, but the fall from
+the window's beginning to its end leads to the cut-off in sight, the end that was shown before stands. On packs of many
+makes that time is right to a factor of two in the last 45 s, and too long before: so it can shorten a forecast and
+never lengthens one. Rows slower than every three seconds show no such fall. While the current is unknown the voltage is
+fitted as it is measured, without sag and lag: there is no time to shorten then, but the crew is told that the end is
+near.
 """
 
 from __future__ import annotations
@@ -19,15 +24,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.model import Array
+from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, X
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.records import NAN, Remaining, Sample, Status
 
 WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
-FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that they span
+# Bins in a window, and the share of it that they span. With 0.7, a pack of four times the usual ohms was taken for an
+# emptying one in its first minute.
+FEWEST_BINS, LEAST_SPAN = 12, 0.85
+IDLE_SHARE = 0.25  # bins of less than this share of the current now show another sag than the fit can explain
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
 BLIND_REACH_V = 0.23  # without a current: a climb sags a cell by a tenth of a volt, and looks like the end
@@ -47,13 +55,35 @@ AT_CUTOFF = "the pack is at its cut-off"
 NO_END = Notice("no end found: the estimated charge and the load do not fit", Kind.NO_END)
 
 
+class LaggingCurrents(NamedTuple):
+    """LaggingCurrents holds the current as it shows in the fast and in the slow lagging overpotential [A].
+
+    Both begin with the first current: a pack that was not seen before is at rest, or was loaded for a while.
+    """
+
+    time_s: float = NAN
+    fast_A: float = NAN
+    slow_A: float = NAN
+
+    def after(self, time_s: float, current_A: float, cell: Parameters) -> LaggingCurrents:
+        """Return the currents at a row; one without a current changes nothing."""
+        if not math.isfinite(current_A):
+            return self
+        if not math.isfinite(self.time_s):
+            return LaggingCurrents(time_s, current_A, current_A)
+        dt_s = max(time_s - self.time_s, 0.0)
+        fast, slow = (math.exp(-dt_s / float(tau_s)) for tau_s in (cell.polarisation_tau_s, cell.diffusion_tau_s))
+        fast_A, slow_A = current_A + fast * (self.fast_A - current_A), current_A + slow * (self.slow_A - current_A)
+        return LaggingCurrents(time_s, fast_A, slow_A)
+
+
 class FallBin(NamedTuple):
-    """FallBin holds a bin's means: begin [s], voltage [V], current [A], the pack's lagging overpotential [V], rows."""
+    """FallBin holds a bin's means: begin [s], voltage [V], current [A], the lagging currents at its begin, rows."""
 
     begin_s: float
     voltage_V: float
     current_A: float
-    lag_V: float
+    lagging: LaggingCurrents = LaggingCurrents()
     rows: int = 1
 
     @property
@@ -71,10 +101,10 @@ class FallBin(NamedTuple):
         share = 1.0 / (self.rows + 1)
         volts = self.voltage_V + share * (voltage_V - self.voltage_V)
         amps = self.current_A + share * (current_A - self.current_A)
-        return FallBin(self.begin_s, volts, amps, self.lag_V, self.rows + 1)
+        return FallBin(self.begin_s, volts, amps, self.lagging, self.rows + 1)
 
 
-NO_BIN = FallBin(NAN, NAN, NAN, NAN)
+NO_BIN = FallBin(NAN, NAN, NAN)
 
 
 class Fall(NamedTuple):
@@ -82,48 +112,62 @@ class Fall(NamedTuple):
 
     bins: tuple[FallBin, ...] = ()
 
-    def with_bin(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
-        """Return the window with a row that begins a bin; after a clock that fell back there is no other bin."""
-        before = self.bins if self.bins and time_s >= self.bins[-1].begin_s else ()
-        first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
-        return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
+    def with_bin(self, new: FallBin) -> Fall:
+        """Return the window with one more bin; after a clock that fell back there is no other bin."""
+        before = self.bins if self.bins and new.begin_s >= self.bins[-1].begin_s else ()
+        first = next((k for k, row in enumerate(before) if new.begin_s - row.begin_s <= max(WINDOWS_S)), len(before))
+        return Fall((*before[first:], new))
 
-    def time_left_s(self, cells: float, cutoff_V: float) -> float:
-        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it."""
+    def time_left_s(self, cells: float, cutoff_V: float, fast_V: float = 0.0, slow_V: float = 0.0) -> float:
+        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it.
+
+        fast_V, slow_V : the pack's lagging overpotentials now [V]. NaN means that it cannot be told: the voltage falls
+        towards the cut-off, but not clearly enough for a time.
+        """
         if not self.bins or self.bins[-1].voltage_V - cutoff_V > self.bins[-1].reach_V * cells:
             return math.inf  # true in most of a flight
         bins = self._of_one_kind()
         judged = bins[-JUDGED_BINS:]
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
-        if len(bins) < FEWEST_BINS or _is_level(bins, cutoff_V):
+        slope_left_s = _by_mean_slope_s(bins, cutoff_V) if len(bins) >= FEWEST_BINS else math.inf
+        if slope_left_s > LEVEL * SIGHT_S:
             return math.inf
-        rows = np.array([row[:4] for row in bins])
+        rows = np.array([(*row[:3], lag_V) for row, lag_V in zip(bins, _lags_V(bins, fast_V, slow_V), strict=True)])
         rows[:, 0] -= rows[-1, 0]
-        left_s = 0.0
-        for window_s in WINDOWS_S:
-            left_s = max(left_s, _fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V))
-            if left_s > SIGHT_S:
-                return math.inf
-        return left_s
+        left_s = max(_fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V) for window_s in WINDOWS_S)
+        if left_s <= SIGHT_S:
+            return left_s
+        return NAN if slope_left_s <= SIGHT_S else math.inf
 
     def _of_one_kind(self) -> tuple[FallBin, ...]:
-        """Return the bins with a current, if the last one has it; else all bins, without current and lag.
+        """Return the bins under a load like that of the last one, if it has a current; else all bins, without currents.
 
-        With a current of 0 in every bin the fit has no sag.
+        With a current of 0 in every bin the fit has neither sag nor lag.
         """
-        if self.bins[-1].is_metered:
-            return tuple(row for row in self.bins if row.is_metered)
-        return tuple(row._replace(current_A=0.0, lag_V=0.0) for row in self.bins)
+        last = self.bins[-1]
+        if last.is_metered:
+            return tuple(row for row in self.bins if row.current_A >= min(IDLE_SHARE * last.current_A, last.current_A))
+        return tuple(row._replace(current_A=0.0, lagging=LaggingCurrents(NAN, 0.0, 0.0)) for row in self.bins)
 
 
-def _is_level(bins: tuple[FallBin, ...], cutoff_V: float) -> bool:
-    """Return True if the voltage fell too little over the window to reach the cut-off in sight."""
+def _lags_V(bins: tuple[FallBin, ...], fast_V: float, slow_V: float) -> list[float]:
+    """Return the pack's lagging overpotential in each bin [V], from the two that it has now [V]."""
+    now = bins[-1]
+    fast, slow = (
+        lag_V / lag_A if lag_A > IDLE_SHARE * now.current_A > 0.0 else 0.0
+        for lag_V, lag_A in ((fast_V, now.lagging.fast_A), (slow_V, now.lagging.slow_A))
+    )
+    return [fast * row.lagging.fast_A + slow * row.lagging.slow_A for row in bins]
+
+
+def _by_mean_slope_s(bins: tuple[FallBin, ...], cutoff_V: float) -> float:
+    """Return the time left [s] by the fall from the first quarter of the bins to the last; infinite without a fall."""
     part = len(bins) // 4
     first_V = sum(row.voltage_V for row in bins[:part]) / part
     last_V = sum(row.voltage_V for row in bins[-part:]) / part
     over_s = 0.75 * (bins[-1].begin_s - bins[0].begin_s)
-    return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
+    return max(last_V - cutoff_V, 0.0) * over_s / (first_V - last_V) if first_V > last_V else math.inf
 
 
 def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
@@ -160,11 +204,12 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
 class VoltageBound(NamedTuple):
     """VoltageBound holds the fall of the voltage and the ends that it has shown; it is a value, replaced at each row.
 
-    One look may be chance: the bound is the latest end of the last SURE_LOOKS looks.
+    One look may be chance: the bound is the latest end of the last SURE_LOOKS looks that told one.
     """
 
     fall: Fall = Fall()
     ends_s: tuple[float, ...] = (math.inf,) * SURE_LOOKS
+    lagging: LaggingCurrents = LaggingCurrents()
 
     def after(self, sample: Sample, belief: Belief | None, pack: Pack, below_V: float) -> VoltageBound:
         """Return the value after one more sample and the belief that it led to.
@@ -174,15 +219,16 @@ class VoltageBound(NamedTuple):
         time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
         if not math.isfinite(volts):
             return self
+        lagging = self.lagging.after(time_s, amps, pack.cell)
         *closed, last = self.fall.bins or (NO_BIN,)
         if 0.0 <= time_s - last.begin_s < BIN_S and math.isfinite(amps) is last.is_metered:
-            return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s)
-        cells, lag_V = float(pack.installation.cells), 0.0
-        if belief is not None:
-            lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
-        fall = self.fall.with_bin(time_s, volts, amps, lag_V)  # once a second is often enough to look
-        cutoff_V = float(pack.at_weakest_cell(below_V).cutoff_V)
-        return VoltageBound(fall, (*self.ends_s[1:], time_s + fall.time_left_s(cells, cutoff_V)))
+            return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s, lagging)
+        cells, cutoff_V = float(pack.installation.cells), float(pack.at_weakest_cell(below_V).cutoff_V)
+        x = belief.mean if belief is not None else np.zeros(SIZE)
+        fall = self.fall.with_bin(FallBin(time_s, volts, amps, lagging))  # once a second is often enough to look
+        left_s = fall.time_left_s(cells, cutoff_V, cells * float(x[X.POLARISATION]), cells * float(x[X.DIFFUSION]))
+        ends_s = self.ends_s if math.isnan(left_s) else (*self.ends_s[1:], time_s + left_s)
+        return VoltageBound(fall, ends_s, lagging)
 
     def left_s(self, time_s: float) -> float:
         """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""
