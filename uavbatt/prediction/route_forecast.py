@@ -11,6 +11,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.prediction import sampling
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
@@ -143,7 +144,7 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, flying.reserve_soc)
+        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, sampling.least_soc(flying))
         asked = asked._replace(turning=turning)
     return asked
 
