@@ -134,7 +134,7 @@ def _is_asked(least_V: Array) -> Column:
 def _above_V(draws: FlyingDraws, at: Source, power_W: Array, least_soc: Array) -> Array:
     """Return the height above the end of flight: above the cut-off, or above the least charge where that is nearer."""
     above_least_V = (draws.state.soc - least_soc) * SOC_IN_CELL_V * draws.installation.cells
-    return np.minimum(above_cutoff_V(draws, at, power_W), above_least_V)
+    return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))
 
 
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:
