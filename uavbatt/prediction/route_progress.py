@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.battery.powers import Powers, level_of, terms
+from uavbatt.battery.powers import Powers, is_beyond_learned, level_of, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
@@ -61,7 +61,7 @@ class Progress(NamedTuple):
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
         moved = moved._replace(told_s=time_s)
-        if flown is None or not moved.is_steady or not told_s > 0.0:
+        if flown is None or not moved.is_steady or not told_s > 0.0 or is_beyond_learned(powers, flown.airspeed_ms):
             return moved
         ratio = level_of(powers, terms(*flown, powers.induced_ms), power_W)
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
