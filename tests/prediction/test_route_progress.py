@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from route_rig import HOME, SETTINGS, mission, to
+from route_rig import HOME, POWERS, SETTINGS, mission, to
 
+from uavbatt.battery.powers import power, terms
 from uavbatt.navigation import Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.route_ahead import Ahead, ahead
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
@@ -70,6 +71,29 @@ def test_a_pause_of_the_pilot_teaches_nothing_of_the_speed(pause_s: float) -> No
 def test_a_home_that_is_moved_in_flight_teaches_nothing_of_the_speed(moved_at_s: float) -> None:
     """A leg's time was held against a plan from elsewhere: 0.75 to 1.27 of it, and home was nearer than it is."""
     assert stretch(moved_at_s=moved_at_s) == pytest.approx(stretch(), abs=0.02)
+
+
+def test_the_clock_of_an_item_begins_anew_with_another_mission() -> None:
+    """Item 1 waited for 400 s; item 1 of the mission uploaded then was "overdue", and no route was used for it."""
+    waiting = mission(to(1, 0.0, 0.0, HEIGHT_M, hold_s=600.0), to(2, LEG_M, 0.0, HEIGHT_M))
+    progress = Progress()
+    for k in range(400):
+        progress = progress.after(float(k), seen(float(k), 0.0, 0.0, mission=waiting))
+    uploaded = seen(400.0, 0.0, SPEED_MS, mission=mission(to(1, 150.0, 0.0, HEIGHT_M), to(2, LEG_M, 0.0, HEIGHT_M)))
+    rest = ahead(progress.after(400.0, uploaded), uploaded, 400.0)
+    assert isinstance(rest, Ahead)
+    assert rest.touchdown_s < 600.0
+
+
+@pytest.mark.parametrize(("speed_ms", "level"), [(10.0, 1.3), (20.0, 1.0)])
+def test_an_airspeed_beyond_the_learned_ones_teaches_nothing_of_the_power_level(speed_ms: float, level: float) -> None:
+    """Legs at 18 m/s, of an aircraft known up to 12 m/s, made the level 1.3: the survey after them asked too much."""
+    asked_W = 1.3 * float(power(POWERS, terms(speed_ms, 0.0, 0.0, 0.0, POWERS.induced_ms)))
+    progress = Progress()
+    for k in range(200):
+        progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms), asked_W, POWERS)
+    assert POWERS.fastest_ms is not None and 10.0 < POWERS.fastest_ms < 20.0
+    assert progress.lessons.level(POWERS)[0] == pytest.approx(level, abs=0.06)
 
 
 def test_a_link_that_joins_within_a_leg_teaches_nothing_of_the_speed() -> None:
