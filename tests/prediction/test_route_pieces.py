@@ -21,6 +21,7 @@ from uavbatt.prediction.route_progress import Progress
 
 SPEED_MS = 8.0
 FAST = replace(SETTINGS, cruise_ms=SPEED_MS)
+OUT_AND_BACK = mission(to(1, 500.0, 0.0, 30.0), to(2, 0.0, 0.0, 30.0))
 
 
 def pieces(*places_m: tuple[float, float], hold_s: float = 0.0) -> Pieces:
@@ -90,6 +91,16 @@ def test_on_a_circle_the_power_is_the_mean_over_head_wind_and_tail_wind() -> Non
     flown_W = power(POWERS, terms(air_ms, 0.0, 0.0, 0.0, POWERS.induced_ms))
     assert circle_W == pytest.approx(float(flown_W.mean()), rel=0.005)
     assert circle_W > 1.02 * float(power(POWERS, terms(math.hypot(speed_ms, 6.0), 0.0, 0.0, 0.0, POWERS.induced_ms)))
+
+
+def test_what_was_flown_beyond_the_learned_airspeeds_counts_there_alone() -> None:
+    ahead_of = Ahead(Point(0.0, 0.0, 0.0), LegTiming(wind=(-12.0, 0.0)).pieces(path(OUT_AND_BACK, HOME, FAST).table))
+    plain, excess = (RouteLoad(ahead_of, POWERS, 1.0, 0.0, excess).flown_W for excess in (0.0, 0.2))
+    assert POWERS.fastest_ms is not None
+    is_beyond = ahead_of.pieces.airspeed_ms > POWERS.fastest_ms
+    assert is_beyond.any() and not is_beyond.all()
+    assert (excess[is_beyond] > plain[is_beyond]).all()
+    assert (excess[~is_beyond] == plain[~is_beyond]).all()
 
 
 def flying(mode: Mode) -> Navigation:

@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
-from uavbatt.battery.powers import power, terms
+from uavbatt.battery.powers import beyond_learned, power, terms
 from uavbatt.navigation import Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
+from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_ahead import Ahead, ahead
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import Progress
@@ -85,17 +87,30 @@ def test_the_clock_of_an_item_begins_anew_with_another_mission() -> None:
     assert rest.touchdown_s < 600.0
 
 
-@pytest.mark.parametrize(("speed_ms", "is_taught"), [(10.0, True), (20.0, False)])
-def test_an_airspeed_beyond_the_learned_ones_teaches_nothing_of_the_power_level(
-    speed_ms: float, is_taught: bool
-) -> None:
-    """Legs at 18 m/s, of an aircraft known up to 12 m/s, made the level 1.3: the survey after them asked too much."""
-    asked_W = 1.3 * float(power(POWERS, terms(speed_ms, 0.0, 0.0, 0.0, POWERS.induced_ms)))
+def taught(speed_ms: float, ratio: float) -> FlightLessons:
+    """The lessons of 200 s at an airspeed at which the aircraft asks `ratio` times the power of its law."""
+    asked_W = ratio * float(power(POWERS, terms(speed_ms, 0.0, 0.0, 0.0, POWERS.induced_ms)))
     progress = Progress()
     for k in range(200):
         progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms), asked_W, POWERS)
+    return progress.lessons
+
+
+def test_an_airspeed_beyond_the_learned_ones_teaches_the_power_there_and_not_the_level() -> None:
+    """Legs at 18 m/s, of an aircraft known up to 12 m/s, made the level 1.3: the survey after them asked too much."""
     assert POWERS.fastest_ms is not None and 10.0 < POWERS.fastest_ms < 20.0
-    assert progress.lessons.level(POWERS)[0] == pytest.approx(1.26 if is_taught else 1.0, abs=0.04)
+    slow, fast = taught(10.0, 1.3), taught(20.0, 1.3)
+    assert slow.level(POWERS)[0] == pytest.approx(1.26, abs=0.04)
+    assert slow.excess_beyond(POWERS) == 0.0
+    assert fast.level(POWERS)[0] == 1.0
+    at_20_ms = float(beyond_learned(POWERS, np.array(20.0)))
+    assert math.exp(fast.excess_beyond(POWERS) * at_20_ms) == pytest.approx(1.3, abs=0.04)
+
+
+def test_a_little_beyond_the_learned_airspeeds_the_wind_explains_the_power_as_well() -> None:
+    """An error of 5 % there is an error of the wind by 1 m/s, and says nothing of twice the airspeed."""
+    excess, beyond = taught(15.5, 1.05).excess_beyond(POWERS), float(beyond_learned(POWERS, np.array(15.5)))
+    assert 0.0 < excess < 0.25 * math.log(1.05) / beyond
 
 
 def test_a_link_that_joins_within_a_leg_teaches_nothing_of_the_speed() -> None:

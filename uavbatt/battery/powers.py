@@ -117,11 +117,6 @@ def beyond_learned(powers: Powers, airspeed_ms: Array) -> Array:
     return np.asarray(np.clip((airspeed_ms / powers.fastest_ms) ** 3 - 1.0, 0.0, MOST_BEYOND))
 
 
-def is_beyond_learned(powers: Powers, airspeed_ms: float) -> bool:
-    """Return True at an airspeed [m/s] at which the law is extrapolated."""
-    return powers.fastest_ms is not None and airspeed_ms > powers.fastest_ms
-
-
 def level_of(powers: Powers, columns: Array, power_W: float) -> float:
     """Return the level at which these columns of `terms` ask `power_W` [W]."""
     lifted, dragged = _shares(powers, columns)

@@ -92,7 +92,7 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if isinstance(route, str):
         return ToCome(load, name, route, None, home_reason, returning)
     if isinstance(load, LearnedLoad | UnknownAircraft):
-        load, name = RouteLoad(route, powers, level, level_sd), "route"
+        load, name = RouteLoad(route, powers, level, level_sd, progress.lessons.excess_beyond(powers)), "route"
     assumed = progress.path.assumed if navigation.mode is Mode.MISSION else ""
     return ToCome(load, name, "", route, home_reason, returning, assumed)
 
@@ -102,7 +102,9 @@ def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: fl
     powers = powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     home = home_now(progress, navigation, time_s)
-    return RouteLoad(home, powers, level, level_sd) if isinstance(home, Ahead) and math.isfinite(level) else None
+    if not isinstance(home, Ahead) or not math.isfinite(level):
+        return None
+    return RouteLoad(home, powers, level, level_sd, progress.lessons.excess_beyond(powers))
 
 
 def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysState:

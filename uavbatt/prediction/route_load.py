@@ -23,12 +23,16 @@ GUSTS = 0.2  # sd of the airspeed over the wind speed, as over open land
 
 @dataclass(frozen=True)
 class RouteLoad:
-    """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
+    """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home.
+
+    excess : `FlightLessons.excess_beyond`
+    """
 
     ahead: Ahead
     powers: Powers
     level: float
     level_sd: float
+    excess: float = 0.0
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the pieces to come [W], that of a hover where none is left; at least 1 W."""
@@ -50,7 +54,7 @@ class RouteLoad:
         flown_W = power(self.powers, piece_terms(pieces, self.powers.induced_ms), self.level)
         on_curve = pieces.round_wind_ms > 0.0
         flown_W[on_curve] = self._curve_W(pieces.of(on_curve))
-        return flown_W
+        return np.asarray(flown_W * np.exp(self.excess * beyond_learned(self.powers, pieces.airspeed_ms)))
 
     def _curve_W(self, pieces: Pieces) -> Array:
         """Return the power of each piece [W] on a curve: the mean over the sides from which the wind comes."""

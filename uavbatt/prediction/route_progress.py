@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.battery.powers import Powers, is_beyond_learned, level_of, terms
+from uavbatt.battery.powers import Powers, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
@@ -62,10 +62,10 @@ class Progress(NamedTuple):
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
         moved = moved._replace(told_s=time_s)
-        if flown is None or not moved.is_steady or not told_s > 0.0 or is_beyond_learned(powers, flown.airspeed_ms):
+        if flown is None or not moved.is_steady or not told_s > 0.0:
             return moved
-        ratio = level_of(powers, terms(*flown, powers.induced_ms), power_W)
-        return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
+        columns = terms(*flown, powers.induced_ms)
+        return moved._replace(lessons=moved.lessons.with_power(powers, flown.airspeed_ms, columns, power_W, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
         """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
