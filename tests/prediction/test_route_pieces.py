@@ -78,6 +78,14 @@ def test_it_asks_more_than_a_hover_and_more_than_the_flight_after_it() -> None:
     assert load.piece_W[first] > 1.1 * POWERS.hover_W > load.piece_W[first + 1]
 
 
+def test_a_circle_begins_and_ends_across_the_way() -> None:
+    """Its centre lies straight ahead, so that it was flown into, and out of, without turning."""
+    turns = to(2, 0.0, 400.0, 30.0, action=Action.LOITER_TURNS, turns=3.0, radius_m=40.0)
+    found = LegTiming().pieces(path(mission(to(1, 0.0, 300.0, 30.0), turns, to(3, 0.0, 900.0, 30.0)), HOME, FAST).table)
+    assert int((found.gained_ms[found.seq == 2] > 0.0).sum()) == 1  # on the circle; the way to it goes straight on
+    assert speeding_up(found, 3)
+
+
 def test_on_a_circle_the_power_is_the_mean_over_head_wind_and_tail_wind() -> None:
     """With the root mean square of the airspeed it was 204 W where 220 W were flown: so an end came 7 s too late."""
     item = to(1, 0.0, 300.0, 30.0, action=Action.LOITER_TURNS, turns=5.0, radius_m=100.0)
