@@ -72,6 +72,22 @@ def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
     assert all(leg.soc_lo <= leg.soc <= leg.soc_hi for leg in found.legs)
 
 
+def test_turns_end_on_their_circle_and_a_leg_says_what_is_flown() -> None:
+    """The centre of a circle stood in the plan as a place that the aircraft flies to."""
+    found = planned(
+        MissionItem(1, Action.TAKEOFF, alt_m=40.0),
+        to(2, 0.0, 400.0, 40.0, action=Action.LOITER_TURNS, turns=2.5, radius_m=100.0),
+        to(3, 300.0, 400.0, 40.0, hold_s=20.0),
+        MissionItem(4, Action.RETURN),
+    )
+    to_circle, turns = (leg for leg in found.legs if leg.item == 2)
+    assert (to_circle.place.north_m, to_circle.place.east_m) == pytest.approx((0.0, 300.0), abs=0.5)
+    assert (turns.place.north_m, turns.place.east_m) == pytest.approx((0.0, 500.0), abs=0.5)
+    assert [leg.what for leg in found.legs] == [
+        "takes off", "flies", "2.5 turns of 100 m radius", "flies, waits 20 s", "flies home", "descends", "lands"
+    ]  # fmt: skip
+
+
 def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     """Four times as long as the pack lasts: the draws' voltage turns round, the charge they have left does not."""
     pack = generic_pack()

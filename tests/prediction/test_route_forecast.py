@@ -110,6 +110,27 @@ def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
     assert 0.0 < turn_back_with(home_soc - 0.1) < turn_back_with(0.0)
 
 
+def test_a_way_home_that_empties_the_pack_is_no_way_home_however_low_the_cut_off_is() -> None:
+    """With 2.8 V a cell the way home went on below a charge of 0: the turn-back came 10 to 30 s late."""
+    waiting = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0))
+    pack = generic_pack()._replace(empty_soc_sd=0.0)  # a make that was tested
+
+    def turn_back_with(cutoff_V: float) -> float:
+        forecaster = Forecaster(pack._replace(cutoff_V=cutoff_V), ForecastSettings(ConstantLoad(180.0, 0.04)))
+        estimator = SocFilter(pack)
+        for k in range(ROWS):
+            sample, heard = row(k, waiting)
+            estimate = estimator.step(sample)
+            refusal, question = forecaster.update(sample, estimate, estimator.belief, heard)
+            answered = None if question is None else (question, end_times(question.flying))
+            said = forecaster.finish(sample, estimate, refusal, answered)
+        assert said.route is not None
+        return said.route.turn_back_s
+
+    assert turn_back_with(13.2) + 5.0 < turn_back_with(11.2)
+    assert turn_back_with(11.2) == pytest.approx(turn_back_with(10.4), abs=1.0)
+
+
 def test_the_same_route_in_another_frame_with_a_jump_or_uploaded_twice_gives_the_same_numbers() -> None:
     items = (leg_to(350.0), to(2, 100.0, 3000.0, 350.0), to(3, 0.0, 3000.0, 350.0), to(4, 100.0, 3000.0, 350.0))
     plain = flown(known(*items))[-1]

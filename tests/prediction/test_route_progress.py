@@ -6,10 +6,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from route_rig import HOME, SETTINGS, mission, to
+from route_rig import HOME, POWERS, SETTINGS, mission, to
 
+from uavbatt.battery.powers import beyond_learned, power, terms
 from uavbatt.navigation import Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
+from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_ahead import Ahead, ahead
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import Progress
@@ -70,6 +73,44 @@ def test_a_pause_of_the_pilot_teaches_nothing_of_the_speed(pause_s: float) -> No
 def test_a_home_that_is_moved_in_flight_teaches_nothing_of_the_speed(moved_at_s: float) -> None:
     """A leg's time was held against a plan from elsewhere: 0.75 to 1.27 of it, and home was nearer than it is."""
     assert stretch(moved_at_s=moved_at_s) == pytest.approx(stretch(), abs=0.02)
+
+
+def test_the_clock_of_an_item_begins_anew_with_another_mission() -> None:
+    """Item 1 waited for 400 s; item 1 of the mission uploaded then was "overdue", and no route was used for it."""
+    waiting = mission(to(1, 0.0, 0.0, HEIGHT_M, hold_s=600.0), to(2, LEG_M, 0.0, HEIGHT_M))
+    progress = Progress()
+    for k in range(400):
+        progress = progress.after(float(k), seen(float(k), 0.0, 0.0, mission=waiting))
+    uploaded = seen(400.0, 0.0, SPEED_MS, mission=mission(to(1, 150.0, 0.0, HEIGHT_M), to(2, LEG_M, 0.0, HEIGHT_M)))
+    rest = ahead(progress.after(400.0, uploaded), uploaded, 400.0)
+    assert isinstance(rest, Ahead)
+    assert rest.touchdown_s < 600.0
+
+
+def taught(speed_ms: float, ratio: float) -> FlightLessons:
+    """The lessons of 200 s at an airspeed at which the aircraft asks `ratio` times the power of its law."""
+    asked_W = ratio * float(power(POWERS, terms(speed_ms, 0.0, 0.0, 0.0, POWERS.induced_ms)))
+    progress = Progress()
+    for k in range(200):
+        progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms), asked_W, POWERS)
+    return progress.lessons
+
+
+def test_an_airspeed_beyond_the_learned_ones_teaches_the_power_there_and_not_the_level() -> None:
+    """Legs at 18 m/s, of an aircraft known up to 12 m/s, made the level 1.3: the survey after them asked too much."""
+    assert POWERS.fastest_ms is not None and 10.0 < POWERS.fastest_ms < 20.0
+    slow, fast = taught(10.0, 1.3), taught(20.0, 1.3)
+    assert slow.level(POWERS)[0] == pytest.approx(1.26, abs=0.04)
+    assert slow.excess_beyond(POWERS) == 0.0
+    assert fast.level(POWERS)[0] == 1.0
+    at_20_ms = float(beyond_learned(POWERS, np.array(20.0)))
+    assert math.exp(fast.excess_beyond(POWERS) * at_20_ms) == pytest.approx(1.3, abs=0.04)
+
+
+def test_a_little_beyond_the_learned_airspeeds_the_wind_explains_the_power_as_well() -> None:
+    """An error of 5 % there is an error of the wind by 1 m/s, and says nothing of twice the airspeed."""
+    excess, beyond = taught(15.5, 1.05).excess_beyond(POWERS), float(beyond_learned(POWERS, np.array(15.5)))
+    assert 0.0 < excess < 0.25 * math.log(1.05) / beyond
 
 
 def test_a_link_that_joins_within_a_leg_teaches_nothing_of_the_speed() -> None:

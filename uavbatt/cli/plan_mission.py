@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,10 +62,14 @@ def plan_and_tell(
 
 
 def _lines(plan: MissionPlan, name: str) -> list[str]:
+    from uavbatt.plan.words import speed_words, wind_words
+
     here, route = plan.here, plan.here.route
     lines = [
         f"{plan.resolved.battery} ({plan.resolved.status}): {plan.resolved.words}",
         *(f"  warning    {warning}" for warning in plan.warnings),
+        f"  speeds     {speed_words(plan.planned.path.legs)}",
+        f"  wind       {wind_words(plan.planned.wind)}",
         f"{name}: {'fits' if here.fits else 'does NOT fit'} at {here.ambient_C:g} °C; "
         f"probability that the battery ends before touchdown {here.risk_text}"
         + (f"; {here.remark}" if here.remark else ""),
@@ -75,14 +80,26 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
         lines.append(f"  {here.no_way_home}")
     elif math.isfinite(route.turn_back_s):
         lines.append(f"  turn back by {clock(route.turn_back_lo_s)} to be home with 95 %; {_turning(plan)}")
-    lines.append(f"  {'item':>6}  {'after':>7}  {'height':>7}  charge at its end")
-    shown = plan.legs if len(plan.legs) <= MOST_LEGS else (*plan.legs[: MOST_LEGS // 2], *plan.legs[-MOST_LEGS // 2 :])
-    for leg in shown:
-        item = "home" if leg.item < 0 else str(leg.item)
-        charge = _charge(leg.soc, leg.soc_lo, leg.soc_hi)
-        lines.append(f"  {item:>6}  {clock(leg.end_s):>7}  {leg.place.height_m:>5.0f} m  {charge}")
+    lines += _leg_lines(plan.legs)
     lines.append(f"  {'ambient':>8}  {'risk':>5}  {'hover left':>10}  charge at touchdown")
     return lines + [_row(fit) for fit in plan.rows]
+
+
+def _leg_lines(legs: Sequence[LegEnd]) -> list[str]:
+    """Return the legs as a table; of many legs only the first and the last ones."""
+    lines = [f"  {'item':>6}  {'after':>7}  {'from home':>9}  {'height':>7}  {'charge at its end':<31}  what"]
+    half = MOST_LEGS // 2
+    left_out = len(legs) - MOST_LEGS
+    shown = legs if left_out <= 0 else (*legs[:half], *legs[-half:])
+    for number, leg in enumerate(shown):
+        if left_out > 0 and number == half:
+            lines.append(f"  {'...':>6}  {left_out} more, in --json and --report")
+        item = "home" if leg.item < 0 else str(leg.item)
+        charge = _charge(leg.soc, leg.soc_lo, leg.soc_hi)
+        away_m = math.hypot(leg.place.north_m, leg.place.east_m)
+        place = f"{away_m:>7.0f} m  {leg.place.height_m:>5.0f} m"
+        lines.append(f"  {item:>6}  {clock(leg.end_s):>7}  {place}  {charge:<31}  {leg.what}")
+    return lines
 
 
 def _turning(plan: MissionPlan) -> str:
@@ -136,7 +153,10 @@ def _charges(leg: LegEnd) -> dict[str, float]:
 
 def _as_json(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
     """Return the plan for JSON: sources of the numbers, the planned temperature, each leg, the table."""
-    legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
+    legs = [
+        {"item": leg.item, "what": leg.what, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)}
+        for leg in plan.legs
+    ]
     return {
         "mission": name,
         "battery": plan.resolved.battery,

@@ -19,7 +19,7 @@ from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
-from uavbatt.prediction.batch import Question, least_soc
+from uavbatt.prediction.batch import Question
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.sampling import Normals
 from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
@@ -45,7 +45,7 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 def compiled_end_times(flying: Flying) -> EndTimes:
     """Simulate one forecast; returns the end of each of its draws."""
     drawn = sampling.wander(flying.dt_s.size, flying.by_rows)
-    return counted(EndTimes(*time_to_end(as_numbers(flying), drawn, least_soc(flying))))
+    return counted(EndTimes(*time_to_end(as_numbers(flying), drawn, sampling.least_soc(flying))))
 
 
 @compiled

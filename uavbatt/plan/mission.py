@@ -24,16 +24,17 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, TakeOff, range_remark, rested
+from uavbatt.plan.words import leg_words
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.long_steps import edges_through, fly_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import ToCome
-from uavbatt.prediction.route_legs import Point, legs_table
+from uavbatt.prediction.route_legs import Point, left_at, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import Path, path, return_reason, way_home
-from uavbatt.prediction.route_pieces import LegTiming
+from uavbatt.prediction.route_pieces import Column, LegTiming
 from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown
@@ -60,18 +61,22 @@ class PlannedMission:
         """Return its legs from take-off to touchdown."""
         return path(self.mission, self.home, self.settings)
 
-    def ahead(self) -> tuple[Ahead, LegTiming]:
-        """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
+    def ahead(self) -> tuple[Ahead, LegTiming, Column]:
+        """Return its pieces, how they were made, and the index of the leg of each.
+
+        Raises UsageError when it is not understood or has no end.
+        """
         found = self.path
         if found.reason or not found.lands:
             raise UsageError(
                 f"{self.mission.source}: {found.reason or 'it loiters without end, and its landing time is not known'}"
             )
         way = LegTiming(wind=(self.wind.north_ms, self.wind.east_ms))
-        flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
+        pieces, leg_of = way.pieces_with_leg(found.table)
+        flown = Ahead(Point(0.0, 0.0, 0.0), pieces)
         if not flown.touchdown_s > 0.0:
             raise UsageError(f"{self.mission.source}: the mission flies nowhere: expected a take-off or a waypoint")
-        return flown, way
+        return flown, way, leg_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +84,7 @@ class LegEnd:
     """LegEnd tells where and when [s from take-off] a leg ends, and the charge then; NaN if most flights end before."""
 
     item: int  # -1 on the way home
+    what: str  # what is flown, in words
     end_s: float
     place: Point
     soc: float
@@ -137,7 +143,7 @@ def make_route_plan(
 ) -> MissionPlan:
     """Return the plan of a mission. Raises UsageError for one that is not understood or has no end."""
     ambient_C, start_soc, reserve_soc, remembered = take_off
-    ahead, way = planned.ahead()
+    ahead, way, leg_of = planned.ahead()
     pack = with_reaction(sized(battery, resolved), remembered)
 
     def fit(at_C: float) -> tuple[RouteFit, Flying, Array]:
@@ -152,7 +158,8 @@ def make_route_plan(
     )  # fmt: skip
     warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
-    legs = _leg_ends(ahead, flying, end_s)  # at the planned times; touchdown counts early and late ones
+    # The legs end at the planned times; touchdown counts early and late ones.
+    legs = _leg_ends(planned.path, ahead, leg_of, flying, end_s)
     touchdown = replace(legs[-1], soc=here.route.soc, soc_lo=here.route.soc_lo, soc_hi=here.route.soc_hi)
     return MissionPlan(resolved, planned, start_soc, here, (*legs[:-1], touchdown), turning, rows, warnings)
 
@@ -209,20 +216,21 @@ def _longest_hover_s(pack: Pack, powers: Powers) -> float:
     return float(most_energy_Wh(pack.installation) * 3600.0 / powers.hover_W)
 
 
-def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
-    """Return when and with what charge each leg ends: a wait belongs to the leg before it."""
-    pieces = ahead.pieces
-    goes_on = (pieces.end[1:] != pieces.end[:-1]).any(axis=1) | (pieces.seq[1:] != pieces.seq[:-1])
-    goes_on &= pieces.gained_ms[:-1] == 0.0  # after it speeds up the same leg goes on
-    last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
-    ends_s: Array = pieces.ends_s[last]
+def _leg_ends(way: Path, ahead: Ahead, leg_of: Column, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
+    """Return when and with what charge each leg ends: a wait belongs to the leg before it.
+
+    leg_of : the index of the leg of each piece
+    """
+    last = np.append(np.flatnonzero(np.diff(leg_of)), leg_of.size - 1)
+    ends_s: Array = ahead.pieces.ends_s[last]
     edges_s = edges_through(ends_s)
     passed = fly_draws(flying, edges_s).of(np.searchsorted(edges_s, ends_s))
     soc = np.quantile(passed.state.soc, LEVELS, axis=1)
     ended = (end_s < ends_s[:, None]).mean(axis=1)
+    legs = [way.legs[index] for index in leg_of[last]]
     return tuple(
-        LegEnd(int(pieces.seq[i]), float(leg_s), Point(*pieces.end[i].tolist()), *_shown(charge, float(before)))
-        for i, leg_s, charge, before in zip(last, ends_s, soc[[1, 0, 2]].T, ended, strict=True)
+        LegEnd(leg.seq, leg_words(leg), float(leg_s), left_at(leg), *_shown(charge, float(before)))
+        for leg, leg_s, charge, before in zip(legs, ends_s, soc[[1, 0, 2]].T, ended, strict=True)
     )
 
 

@@ -37,21 +37,10 @@ class Question(NamedTuple):
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
-def least_soc(flying: Flying) -> Array:
-    """Return the charge [draws] below which each draw ends: the reserve, else none that the pack may give.
-
-    A curve goes on below its charge of 0, so that a cut-off far below it would be met long after a pack is empty. For a
-    make that nobody tested it is not known how much charge lies below that point of the curve.
-    """
-    if flying.reserve_soc > 0.0:
-        return np.full(sampling.DRAWS, flying.reserve_soc)
-    return -flying.pack.empty_soc_sd * sampling.shuffled(sampling.DRAWS)
-
-
 def end_times(flying: Flying, enough: float = COUNTED) -> EndTimes:
     """Simulate one forecast and return when each draw ends [s]; `enough` is that of `time_to_end.counted`."""
     drawn = sampling.wander(flying.dt_s.size, flying.by_rows)
-    return counted(time_to_end(flying, drawn, least_soc(flying), enough=enough), enough)
+    return counted(time_to_end(flying, drawn, sampling.least_soc(flying), enough=enough), enough)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -94,5 +83,5 @@ def _together(few: list[Flying]) -> list[EndTimes]:
         dt_s=on(q.dt_s for q in few)[:, :, None],
     )
     beside = sampling.Normals(drawn.bias[:, None], drawn.row[:, None])
-    ends = time_to_end(together, beside, least_soc(few[0]), each(q.dt_s.size for q in few), COUNTED)
+    ends = time_to_end(together, beside, sampling.least_soc(few[0]), each(q.dt_s.size for q in few), COUNTED)
     return [EndTimes(*pair) for pair in zip(*counted(ends), strict=True)]

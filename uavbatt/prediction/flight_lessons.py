@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.powers import Powers
+from uavbatt.battery.powers import Powers, beyond_learned, level_of, power
 from uavbatt.navigation import Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.records import NAN
@@ -31,6 +31,9 @@ LEG_NOISE_S, LEG_NOISE = 2.0, 0.08
 WIND_TAU_S = 60.0
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
 LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
+# Error of the power at high airspeed by the wind estimate (that of 1 m/s), and of the law of the drag where the drag
+# power is twice what was learned.
+WIND_SD, EXCESS_SD = 0.05, 0.15
 
 
 # Height and distance are compared where the two ways of climbing differ enough.
@@ -86,12 +89,22 @@ class FlightLessons(NamedTuple):
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
     climbed_first_s: float = 0.0  # seconds in which the height was ahead of the distance, as if it climbed first
     climbed_along_s: float = 0.0  # seconds in which it was not
+    beyond_s: float = 0.0  # seconds of flight beyond the learned airspeeds, older ones counted less
+    beyond_sum_s: float = 0.0  # how far beyond (`powers.beyond_learned`), summed over them
+    excess_sum_s: float = 0.0  # ln of flown over modelled power, summed over them
 
     @property
     def is_possible(self) -> bool:
         """Return True if a flight can have taught this: a saved file may hold anything."""
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
-        summed = (self.level_s, self.level_sum_s, self.climbed_first_s, self.climbed_along_s)
+        summed = (
+            self.level_s,
+            self.level_sum_s,
+            self.climbed_first_s,
+            self.climbed_along_s,
+            self.beyond_s,
+            self.beyond_sum_s,
+        )
         return timed and all(value >= 0.0 for value in summed)
 
     @property
@@ -145,6 +158,39 @@ class FlightLessons(NamedTuple):
             wind_north_ms=self.wind_north_ms + share * (wind.north_ms - self.wind_north_ms),
             wind_east_ms=self.wind_east_ms + share * (wind.east_ms - self.wind_east_ms),
         )
+
+    def with_power(
+        self, powers: Powers, airspeed_ms: float, columns: Array, power_W: float, told_s: float
+    ) -> FlightLessons:
+        """Return the lessons after `told_s` [s] in which the aircraft flew at an airspeed [m/s] with a power [W].
+
+        columns : the terms of the power (`powers.terms`). Beyond the learned airspeeds the law is extrapolated, so that
+        its error there must not count as a payload: it is learned by itself.
+        """
+        beyond = float(beyond_learned(powers, np.asarray(airspeed_ms)))
+        if not beyond > 0.0:
+            return self.with_power_ratio(level_of(powers, columns, power_W), told_s)
+        level, _ = self.level(powers)
+        if not math.isfinite(level):
+            return self
+        kept = math.exp(-told_s / LEVEL_TAU_S)
+        excess = math.log(power_W / float(power(powers, columns, level)))
+        return self._replace(
+            beyond_s=kept * self.beyond_s + told_s,
+            beyond_sum_s=kept * self.beyond_sum_s + told_s * beyond,
+            excess_sum_s=kept * self.excess_sum_s + told_s * excess,
+        )
+
+    def excess_beyond(self, powers: Powers) -> float:
+        """Return how much more power than the law says is flown beyond the learned airspeeds.
+
+        It is ln of the ratio, for each unit of `powers.beyond_learned`; the prior is 0 within EXCESS_SD.
+        """
+        if not self.beyond_sum_s > 0.0:
+            return 0.0
+        noise = powers.row_sd**2 * min(2.0 * POWER_MEMORY_S / self.beyond_s, 1.0) + WIND_SD**2
+        noise /= (self.beyond_sum_s / self.beyond_s) ** 2
+        return EXCESS_SD**2 / (EXCESS_SD**2 + noise) * self.excess_sum_s / self.beyond_sum_s
 
     def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
         """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power.

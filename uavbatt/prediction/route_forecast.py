@@ -11,6 +11,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.prediction import sampling
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
@@ -91,7 +92,7 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if isinstance(route, str):
         return ToCome(load, name, route, None, home_reason, returning)
     if isinstance(load, LearnedLoad | UnknownAircraft):
-        load, name = RouteLoad(route, powers, level, level_sd), "route"
+        load, name = RouteLoad(route, powers, level, level_sd, progress.lessons.excess_beyond(powers)), "route"
     assumed = progress.path.assumed if navigation.mode is Mode.MISSION else ""
     return ToCome(load, name, "", route, home_reason, returning, assumed)
 
@@ -101,7 +102,9 @@ def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: fl
     powers = powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     home = home_now(progress, navigation, time_s)
-    return RouteLoad(home, powers, level, level_sd) if isinstance(home, Ahead) and math.isfinite(level) else None
+    if not isinstance(home, Ahead) or not math.isfinite(level):
+        return None
+    return RouteLoad(home, powers, level, level_sd, progress.lessons.excess_beyond(powers))
 
 
 def ways_state(known: ToCome, navigation: Navigation, time_s: float) -> WaysState:
@@ -143,7 +146,7 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, flying.reserve_soc)
+        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, sampling.least_soc(flying))
         asked = asked._replace(turning=turning)
     return asked
 

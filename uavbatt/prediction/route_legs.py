@@ -80,6 +80,11 @@ def on_circle(leg: Leg, share: float) -> Point:
     return _at_angle(leg.end, leg.circle_m, begin + share * leg.run_m / leg.circle_m)
 
 
+def left_at(leg: Leg) -> Point:
+    """Return where the aircraft leaves a leg: its end, or the point of its circle where the turns end."""
+    return on_circle(leg, 1.0) if leg.circle_m > 0.0 else leg.end
+
+
 def way_points(legs: Sequence[Leg]) -> list[Point]:
     """Return the points of these legs in order, with which a map draws them; a circle is drawn once and a part."""
     points = [legs[0].begin] if legs else []

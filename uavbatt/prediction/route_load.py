@@ -17,17 +17,22 @@ from uavbatt.prediction.swings import Swings
 
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight changes from slow to fast, to which `fast_sd` applies
+SIDES_RAD = (np.arange(8) + 0.5) * np.pi / 8.0  # half of a turn; the other half is its mirror image
 GUSTS = 0.2  # sd of the airspeed over the wind speed, as over open land
 
 
 @dataclass(frozen=True)
 class RouteLoad:
-    """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
+    """RouteLoad flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home.
+
+    excess : `FlightLessons.excess_beyond`
+    """
 
     ahead: Ahead
     powers: Powers
     level: float
     level_sd: float
+    excess: float = 0.0
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the pieces to come [W], that of a hover where none is left; at least 1 W."""
@@ -45,7 +50,19 @@ class RouteLoad:
     @cached_property
     def flown_W(self) -> Array:
         """Return the power of each piece [W] once its speed is gained."""
-        return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
+        pieces = self.ahead.pieces
+        flown_W = power(self.powers, piece_terms(pieces, self.powers.induced_ms), self.level)
+        on_curve = pieces.round_wind_ms > 0.0
+        flown_W[on_curve] = self._curve_W(pieces.of(on_curve))
+        return np.asarray(flown_W * np.exp(self.excess * beyond_learned(self.powers, pieces.airspeed_ms)))
+
+    def _curve_W(self, pieces: Pieces) -> Array:
+        """Return the power of each piece [W] on a curve: the mean over the sides from which the wind comes."""
+        wind_ms = pieces.round_wind_ms[:, None]
+        ground_ms = np.sqrt(np.maximum(pieces.airspeed_ms[:, None] ** 2 - wind_ms**2, 0.0))
+        air_ms = np.hypot(ground_ms + wind_ms * np.cos(SIDES_RAD), wind_ms * np.sin(SIDES_RAD))
+        columns = terms(air_ms, pieces.climb_ms[:, None], False, False, self.powers.induced_ms)
+        return np.asarray(power(self.powers, columns, self.level).mean(axis=1))
 
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""

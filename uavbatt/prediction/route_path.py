@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
-from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, edge, legs_table, on_circle
+from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, edge, left_at, legs_table
 
 METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
@@ -153,7 +153,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if isinstance(found, str):
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
-        at = _left_at(legs[-1]) if legs else at
+        at = left_at(legs[-1]) if legs else at
         if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
             return Path(reason=f"the mission flies on after landing at item {item.seq}")
         if item.action is Action.RETURN and elsewhere:
@@ -253,11 +253,6 @@ def _turns(item: MissionItem, at: Point, centre: Point, speeds: _Speeds, setting
         Leg(item.seq, Phase.ROUTE, at, begin, math.dist(at[:2], begin[:2]), *speeds),
         Leg(item.seq, Phase.ROUTE, begin, centre, length_m, *round_speeds, circle_m=radius_m),
     ]
-
-
-def _left_at(leg: Leg) -> Point:
-    """Return where the aircraft leaves a leg: its end, or the point of its circle where the turns end."""
-    return on_circle(leg, 1.0) if leg.circle_m > 0.0 else leg.end
 
 
 def _fastest_on_circle_ms(radius_m: float, settings: ReturnSettings) -> float:

@@ -34,6 +34,7 @@ class Pieces(NamedTuple):
     end: Array  # [pieces, 3]: where they end, as a `Point`
     length_sd_s: Array
     gained_ms: Array  # ground speed gained from rest in this piece; 0 if it flies on
+    round_wind_ms: Array  # wind that comes from every side in turn, on a curve; 0 on a straight leg
 
     @property
     def ends_s(self) -> Array:
@@ -53,7 +54,7 @@ def joined(*several: Pieces) -> Pieces:
 def waiting(at: Point, length_s: float) -> Pieces:
     """Return one piece of `length_s` [s] in which the aircraft stays where it is."""
     none, no = np.zeros(1), np.zeros(1, bool)
-    return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none, none)
+    return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none, none, none)
 
 
 class LegTiming(NamedTuple):
@@ -84,10 +85,13 @@ class LegTiming(NamedTuple):
         if is_flying:
             gained_ms[:1] = 0.0
         speeding_s = np.where(gained_ms > 0.0, np.minimum(moving_s, TURN_S), 0.0)
-        whole = Pieces(moving_s, air_ms, none, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end, sd_s, none)
+        round_ms = np.where(_is_curve(leg), np.hypot(*self.wind), 0.0)
+        whole = Pieces(
+            moving_s, air_ms, none, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end, sd_s, none, round_ms
+        )
         held = whole._replace(
             length_s=leg.hold_s, airspeed_ms=none + np.hypot(*self.wind), taking_off=np.zeros_like(landing),
-            length_sd_s=none,
+            length_sd_s=none, round_wind_ms=none,
         )  # fmt: skip
         edges_s = [none, speeding_s, moving_s]
         climbing_s = moving_s
@@ -111,10 +115,15 @@ class LegTiming(NamedTuple):
         return moving_s, sd_s
 
     def _airspeed_ms(self, leg: LegsTable, moving_s: Array) -> Array:
-        """Return the speed through the air; on a curve the wind comes from every side."""
+        """Return the speed through the air; on a curve, where the wind comes from every side, its root mean square."""
         north_ms, east_ms = leg.north_m / moving_s - self.wind[0], leg.east_m / moving_s - self.wind[1]
         on_curve_ms = np.hypot(leg.run_m / moving_s, np.hypot(*self.wind))
-        return np.where(leg.run_m > CURVE * np.hypot(leg.north_m, leg.east_m), on_curve_ms, np.hypot(north_ms, east_ms))
+        return np.where(_is_curve(leg), on_curve_ms, np.hypot(north_ms, east_ms))
+
+
+def _is_curve(leg: LegsTable) -> Column:
+    """Return True for each leg that is much longer than the straight line."""
+    return np.asarray(leg.run_m > CURVE * np.hypot(leg.north_m, leg.east_m))
 
 
 def _cut(leg: LegsTable, whole: Pieces, climbing_s: Array, begin_s: Array, end_s: Array) -> Pieces:
@@ -138,9 +147,14 @@ def _share(part: Array, of: Array) -> Array:
 
 
 def _stops_before(leg: LegsTable) -> Column:
-    """Return True for each leg that begins from rest: after a wait, or after a sharp corner."""
+    """Return True for each leg that begins from rest: after a wait, or after a sharp corner.
+
+    A circle begins across the way to it, and may be left in any direction.
+    """
     north_m, east_m = leg.north_m, leg.east_m
     length_m = np.hypot(north_m, east_m)
     along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]
     is_through = (along_m2 > THROUGH * length_m[1:] * length_m[:-1]) & ~(leg.hold_s[:-1] > 0.0)
+    is_curve = _is_curve(leg)
+    is_through &= ~(is_curve[1:] | is_curve[:-1])
     return np.concatenate([np.ones(min(length_m.size, 1), bool), ~is_through])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.battery.powers import Powers, level_of, terms
+from uavbatt.battery.powers import Powers, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
@@ -37,6 +37,7 @@ class Progress(NamedTuple):
 
     known_by: tuple[Mission, Home, ReturnSettings] | None = None  # the path was made from these
     path: Path = Path()
+    path_since_s: float = -math.inf  # time at which the mission replaced another one
     at: int = -1  # index of the first leg of the present item
     leg_since_s: float = NAN
     is_timed: bool = False  # that leg began as planned, so that its time counts
@@ -63,8 +64,8 @@ class Progress(NamedTuple):
         moved = moved._replace(told_s=time_s)
         if flown is None or not moved.is_steady or not told_s > 0.0:
             return moved
-        ratio = level_of(powers, terms(*flown, powers.induced_ms), power_W)
-        return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
+        columns = terms(*flown, powers.induced_ms)
+        return moved._replace(lessons=moved.lessons.with_power(powers, flown.airspeed_ms, columns, power_W, told_s))
 
     def _steadied(self, now: Position | None) -> Progress:
         """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
@@ -78,22 +79,25 @@ class Progress(NamedTuple):
         moved, known_by = self, (navigation.mission, navigation.home, navigation.settings)
         if self.known_by is None or any(a is not b for a, b in zip(known_by, self.known_by, strict=True)):
             is_same_mission = self.known_by is not None and self.known_by[0] == navigation.mission
-            moved = self._replanned(path(*known_by), is_same_mission)._replace(known_by=known_by)
+            moved = self._replanned(path(*known_by), is_same_mission, time_s)._replace(known_by=known_by)
         found = moved.path
         at = _leg_of(found, navigation.current, moved.at)
         if at is None or at == moved.at:
             return moved
-        since_s, began_s = navigation.current_since_s, moved.leg_since_s
+        # The item of a mission that replaced another one may have the number of the item that was flown before.
+        since_s, began_s = max(navigation.current_since_s, moved.path_since_s), moved.leg_since_s
         if navigation.mode is Mode.MISSION and 0 <= moved.at < at and moved.is_timed and math.isfinite(began_s):
             moved = moved._replace(lessons=moved.lessons.with_timing(found.legs[moved.at : at], since_s - began_s))
         is_timed = moved.path is self.path and _begins_as_planned(found.legs[at], here_at(time_s, navigation))
         return moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, behind=0, behind_s=since_s, arrived_s=NAN)
 
-    def _replanned(self, found: Path, is_same_mission: bool) -> Progress:
+    def _replanned(self, found: Path, is_same_mission: bool, time_s: float) -> Progress:
         """Return the progress on another path; the same mission with another home or speed keeps its progress."""
         if found == self.path:  # the same mission uploaded twice changes nothing
             return self
         changed = self._replace(path=found, is_timed=False)  # the running leg began on the other path
+        if self.known_by is not None and not is_same_mission:
+            changed = changed._replace(path_since_s=time_s)
         fresh = changed._replace(behind=0, behind_s=NAN, arrived_s=NAN)
         if not (is_same_mission and self.is_on_path and self._is_alike(found)):
             return fresh._replace(at=-1, leg_since_s=NAN)

@@ -14,6 +14,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.state_space import SIZE, Belief, X
+from uavbatt.prediction.draws import Flying
 
 DRAWS = 128
 FEWEST, LONGEST = 64, 1024  # steps
@@ -77,6 +78,18 @@ def _normals(process: int, steps: int, backwards: bool) -> Array:
 def shuffled(count: int) -> Array:
     """Return positions 0..1 [DRAWS] that spread draws evenly over load scenarios, unrelated to the battery's draws."""
     return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
+
+
+def least_soc(flying: Flying) -> Array:
+    """Return the charge [draws] below which each draw ends: the reserve, else none that the pack may give.
+
+    It ends a flight along the route and one on its way home. A curve goes on below its charge of 0, so that a cut-off
+    far below it would be met long after a pack is empty. For a make that nobody tested it is not known how much charge
+    lies below that point of the curve.
+    """
+    if flying.reserve_soc > 0.0:
+        return np.full(DRAWS, flying.reserve_soc)
+    return -flying.pack.empty_soc_sd * shuffled(DRAWS)
 
 
 @cache

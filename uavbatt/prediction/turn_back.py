@@ -2,8 +2,8 @@
 
 Each draw (battery, power level, wind) flies on, turns at some instants t, and flies home as its autopilot does. On the
 way home the smallest distance of the voltage above the cut-off is noted, in each step under the highest power of gusts.
-The distance of the charge from a reserve counts in the same way, because a reserve ends a flight too. A draw's turn-
-back is the last t before its end at which that distance is not negative.
+The distance of the charge from the least one counts in the same way, because that ends a flight too. A draw's turn-back
+is the last t before its end at which that distance is not negative.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Turning(NamedTuple):
     """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
-    reserve_soc : the charge at which a flight ends, as it does at the cut-off
+    least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
     """
 
     at_turn: FlyingDraws
@@ -47,7 +47,7 @@ class Turning(NamedTuple):
     scenario: Array
     way: LegTiming
     settings: ReturnSettings
-    reserve_soc: float = 0.0
+    least_soc: Array
 
     @property
     def now(self) -> Turning:
@@ -56,7 +56,7 @@ class Turning(NamedTuple):
 
 
 class TurnBack(NamedTuple):
-    """TurnBack says how far above cut-off and reserve each draw stayed on its way home after a turn."""
+    """TurnBack says how far above cut-off and least charge each draw stayed on its way home after a turn."""
 
     turn_at_s: Array  # [turns] from now
     above_V: Array  # [turns, draws]
@@ -87,12 +87,10 @@ def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
     home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.settings)
     scenarios = factors(asked.load)[:, asked.scenario]
-    return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.reserve_soc)
+    return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.least_soc)
 
 
-def _fly_home(
-    at_turn: FlyingDraws, turn_at_s: Array, home: Homewards, scenarios: Array, reserve_soc: float
-) -> TurnBack:
+def _fly_home(at_turn: FlyingDraws, turn_at_s: Array, home: Homewards, scenarios: Array, least_soc: Array) -> TurnBack:
     """Return what comes of the ways home that begin with the draws `at_turn` [turns, draws].
 
     scenarios : factors of level, fast flight and time of each draw [3, draws]
@@ -110,14 +108,14 @@ def _fly_home(
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
             power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
-            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, reserve_soc))
+            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, least_soc))
             soc[down] = landed.state.soc
             flying, at_turn = flying[~is_down], at_turn.of(~is_down)
         if not flying.size:
             break
         at, rough = source_of(at_turn), home.rough[k, flying][:, None]
         power_W = home.drawn_W(k, flying, scenarios)
-        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), reserve_soc)
+        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), least_soc)
         least_V[flying] = np.minimum(least_V[flying], above_V)
         length_s = home.length_s[k, flying][:, None] * stretch
         at_turn = step_draws(at_turn, at, power_W, length_s, normals[k % len(normals)])
@@ -134,13 +132,10 @@ def _is_asked(least_V: Array) -> Column:
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
-def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float) -> Array:
-    """Return the height above the end of flight: above the cut-off, or above the reserve where that is nearer."""
-    above_V = above_cutoff_V(draws, at, power_W)
-    if not reserve_soc > 0.0:
-        return above_V
-    above_reserve_V = (draws.state.soc - reserve_soc) * SOC_IN_CELL_V * draws.installation.cells
-    return np.asarray(np.minimum(above_V, above_reserve_V))
+def _above_V(draws: FlyingDraws, at: Source, power_W: Array, least_soc: Array) -> Array:
+    """Return the height above the end of flight: above the cut-off, or above the least charge where that is nearer."""
+    above_least_V = (draws.state.soc - least_soc) * SOC_IN_CELL_V * draws.installation.cells
+    return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))
 
 
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:

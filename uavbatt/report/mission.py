@@ -10,6 +10,7 @@ import numpy as np
 
 from uavbatt.output import counted
 from uavbatt.plan.mission import MissionPlan, RouteFit
+from uavbatt.plan.words import speed_words, wind_words
 from uavbatt.prediction.route_legs import way_points
 from uavbatt.records import IN_TIME
 from uavbatt.report import plot
@@ -97,6 +98,7 @@ def _legs(plan: MissionPlan) -> Html:
     rows = [
         (
             "home" if leg.item < 0 else str(leg.item),
+            leg.what,
             clock(leg.end_s),
             number(math.hypot(leg.place.north_m, leg.place.east_m), 0, "m"),
             number(leg.place.height_m, 0, "m"),
@@ -107,7 +109,9 @@ def _legs(plan: MissionPlan) -> Html:
         for leg in plan.legs
     ]
     caption = "Charge at each leg's end; after: minutes:seconds"
-    return table(("item", "after", "from home", "height", "charge", "5 %", "95 %"), rows, caption)
+    return table(
+        ("item", "what", "after", "from home", "height", "charge", "5 %", "95 %"), rows, caption, text_columns=(0, 1)
+    )
 
 
 def _temperatures(plan: MissionPlan) -> Html:
@@ -128,12 +132,11 @@ def _spaced(percentage: str) -> str:
 
 
 def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
-    powers, wind = plan.planned.powers, plan.planned.wind
-    from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
-    speed_ms = math.hypot(wind.north_ms, wind.east_ms)
+    powers = plan.planned.powers
     flights = counted(powers.flights, "flight")
     return [
         *pack_facts(plan.resolved),
         ("vehicle", f"hover {powers.hover_W:.0f} W ± {percent(powers.level_sd)}, learned from {flights}"),
-        ("wind", f"{speed_ms:.1f} m/s from {from_deg:.0f}°" if speed_ms > 0.0 else "none"),
+        ("speeds", speed_words(plan.planned.path.legs)),
+        ("wind", wind_words(plan.planned.wind)),
     ]
