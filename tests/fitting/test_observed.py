@@ -73,3 +73,29 @@ def test_a_held_load_is_the_mean_of_what_is_near_in_time_and_value() -> None:
     alike = np.abs(current_A[:, None] - current_A) <= 5.0 * scatter
     expected_A = [np.mean(current_A[those]) for those in near & alike]
     assert held_load(time_s, current_A) == pytest.approx(expected_A, abs=1e-12)
+
+
+def stepped_bench(apart_s: float, ambient_C: float = 25.0) -> ObservedRecord:
+    """A bench that loads the pack after 60 s and steps the load every two minutes, read every `apart_s` [s]."""
+    time_s = np.arange(0.0, 900.0, apart_s)
+    current_A = np.where(time_s < 60.0, 0.0, np.where((time_s // 120.0) % 2 == 0, 20.0, 12.0))
+    flat = np.full(time_s.size, 15.0)
+    return ObservedRecord("bench", time_s, flat, current_A, flat, ambient_C, 4, 5.0)
+
+
+def test_slow_rows_that_follow_a_step_of_the_bench_are_not_compared() -> None:
+    """At a step a voltage shows R0 alone or with the polarisation: a fit to such rows found R0 a fifth too small."""
+    record = stepped_bench(10.0)
+    bench = stack([record])
+    left_out = sorted(set(record.time_s) - set(bench.time_s[bench.compare[:, 0], 0]))
+    assert left_out == [60.0, 120.0, 240.0, 360.0, 480.0, 600.0, 720.0, 840.0]
+
+
+@pytest.mark.parametrize(
+    "record",
+    [stepped_bench(5.0), stepped_bench(10.0, ambient_C=float("nan")), stepped_bench(60.0)],
+    ids=["every 5 s", "a flight", "half of the rows follow a step"],
+)
+def test_all_other_rows_are_compared(record: ObservedRecord) -> None:
+    bench = stack([record])
+    assert np.array_equal(bench.time_s[bench.compare[:, 0], 0], record.time_s)

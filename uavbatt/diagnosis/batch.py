@@ -134,8 +134,8 @@ class Batch:
         slopes = np.zeros((self.knots, soc.shape[1], self.records, width(self.problem.evidence)))
         for j, table in enumerate(volts if tables is not None else ()):
             assert tables is not None
-            amps = stack.current_A[table.rows, j, None]
-            change = tables.voltage(self.problem.pack, soc[table.rows, :, j], amps, stack.capacity_Ah[j])
+            amps, quick_A = (a[table.rows, j, None] for a in (stack.current_A, self.problem.evidence.quick_A))
+            change = tables.voltage(self.problem.pack, soc[table.rows, :, j], amps, quick_A, stack.capacity_Ah[j])
             flat = table.inverse @ change.reshape(table.rows.size, -1)
             slopes[:, :, j, : table.rows.size] = flat.reshape(change.shape).transpose(2, 1, 0)
         return slopes

@@ -45,6 +45,8 @@ from uavbatt.fitting.observed import ObservedRecord
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
+# Of the error that a fit states of its polarisation; a fit counts rows of a minute as one. Unstated: as for good fits.
+INSTANT_SHARE, INSTANT_SD = 1.0 / 3.0, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ def problem_of(
 ) -> Problem:
     """Make records and battery file ready for refits; `states` simulates. Raises NotEnoughData with the reason."""
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
-    evidence = prepare(records, file, (SOC_GRID, ocv_V))
+    evidence = prepare(records, file, (SOC_GRID, ocv_V), float(np.mean(pack.cell.polarisation_tau_s)))
     base = base_values(pack.cell, pack.installation)
     believed, declared = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
     return Problem(pack, evidence, base, believed, declared, table_errors(file), states)
@@ -92,7 +94,18 @@ def table_errors(file: BatteryFile) -> TableErrors:
     table = file.parameters
     ocv_sd = [table.standard_error.get(f"ocv_{z:g}", OCV_KNOT_SD_V) for z in table.ocv_soc]
     knots = np.array(table.resistance_soc)
-    return TableErrors(np.array(table.ocv_soc), np.array(ocv_sd), knots, np.full(knots.size, RESISTANCE_KNOT_SD))
+    return TableErrors(
+        np.array(table.ocv_soc), np.array(ocv_sd), knots, np.full(knots.size, RESISTANCE_KNOT_SD), instant_sd(file)
+    )
+
+
+def instant_sd(file: BatteryFile) -> float:
+    """Return the share of R0 that may be polarisation in truth, or the reverse, one sd.
+
+    Rows that come slowly, or a load that hardly changes, show only the sum of the two.
+    """
+    stated = [entry.standard_error.get("polarisation_ratio") for entry in file.effects if entry.name == "polarisation"]
+    return next((INSTANT_SHARE * sd for sd in stated if sd is not None), INSTANT_SD)
 
 
 def diagnose(

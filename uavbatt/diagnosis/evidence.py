@@ -66,6 +66,8 @@ class Whitener:
 class Evidence:
     """Evidence holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is late current.
 
+    `quick_A` [rows, records] is the part of the current to which the polarisation has not responded yet.
+
     `start_soc` and `start_sd` are the charge that each record is believed to start with and its sd.
     """
 
@@ -73,6 +75,7 @@ class Evidence:
     volts: tuple[Whitener, ...]
     temps: tuple[Whitener | None, ...]
     shifted_A: Array
+    quick_A: Array
     known_ambient: Array
     start_soc: Array
     start_sd: Array
@@ -147,10 +150,23 @@ def _change(records: list[ObservedRecord]) -> float:
     return float(np.std(together) / np.mean(together))
 
 
-def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Array, Array]) -> Evidence:
+def quick_A(stack: Stack, tau_s: float) -> Array:
+    """Return the current less its exponential mean of the last `tau_s` [s]: [A], [rows, records]."""
+    slow_A = np.zeros_like(stack.current_A)
+    for row in range(1, len(slow_A)):
+        decay = np.exp(-stack.dt_s[row] / tau_s)
+        between_A = 0.5 * (stack.current_A[row - 1] + stack.current_A[row])
+        slow_A[row] = decay * slow_A[row - 1] + (1.0 - decay) * between_A
+    out: Array = stack.current_A - slow_A
+    return out
+
+
+def prepare(
+    records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Array, Array], polarisation_tau_s: float
+) -> Evidence:
     """Check, bin and whiten the records. Raises NotEnoughData when they cannot tell effects apart.
 
-    ocv_soc : (soc, OCV [V] of a cell) of the battery file, ascending.
+    ocv_soc : (soc, OCV [V] of a cell) of the battery file, ascending; polarisation_tau_s : its time constant [s]
     """
     check_records(records)
     records = sorted((r for r in records if _long_enough(r)), key=_content)
@@ -168,6 +184,7 @@ def prepare(records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Arr
         ),
         temps=tuple(_temperature_whitener(stack, j, spread) for j in range(len(records))),
         shifted_A=late_current.shifted(records, stack),
+        quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,

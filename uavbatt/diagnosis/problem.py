@@ -17,25 +17,36 @@ from uavbatt.diagnosis.evidence import Evidence, Rows
 
 @dataclass(frozen=True, slots=True)
 class TableErrors:
-    """TableErrors holds the errors of the file's OCV [V] and R0 (relative) at their knots, one sd each."""
+    """TableErrors holds the errors of the file's OCV [V] and R0 (relative) at their knots, one sd each.
+
+    `instant_sd` is one more error: the share of R0 that in truth gives way with the polarisation, or the reverse.
+    """
 
     ocv_soc: Array
     ocv_sd_V: Array
     resistance_soc: Array
     resistance_sd: Array
+    instant_sd: float
 
     @property
     def count(self) -> int:
-        """Return the number of knots of both tables."""
-        return self.ocv_soc.size + self.resistance_soc.size
+        """Return the number of errors: the knots of both tables and the instant share."""
+        return self.ocv_soc.size + self.resistance_soc.size + 1
 
-    def voltage(self, pack: Pack, soc: Array, current_A: Array, capacity_Ah: Array) -> Array:
-        """Return the change of pack voltage [V] for one sd of every knot, [..., knots]."""
-        ocv = _hats(soc, self.ocv_soc) * self.ocv_sd_V
-        drop_V = (current_A / capacity_Ah * resistance(pack.cell, soc, REFERENCE_TEMP_C))[..., None]
-        ohm = -_hats(soc, self.resistance_soc) * self.resistance_sd * drop_V
-        both: Array = pack.installation.cells * np.concatenate([ocv, ohm], axis=-1)
-        return both
+    def voltage(self, pack: Pack, soc: Array, current_A: Array, quick_A: Array, capacity_Ah: Array) -> Array:
+        """Return the change of pack voltage [V] for one sd of every error, [..., errors].
+
+        current_A : the load; quick_A : the part of it to which the polarisation has not responded yet [A]
+        """
+        ohm = resistance(pack.cell, soc, REFERENCE_TEMP_C)
+        drop_V = (current_A / capacity_Ah * ohm)[..., None]
+        instant = -self.instant_sd * (quick_A / capacity_Ah * ohm)[..., None]
+        knots = (
+            _hats(soc, self.ocv_soc) * self.ocv_sd_V,
+            -_hats(soc, self.resistance_soc) * self.resistance_sd * drop_V,
+        )
+        out: Array = pack.installation.cells * np.concatenate([*knots, instant], axis=-1)
+        return out
 
 
 def _hats(soc: Array, knots: Array) -> Array:

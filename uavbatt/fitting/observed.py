@@ -23,7 +23,7 @@ from uavbatt.telemetry.cleaning.cleaner import Cleaner
 from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C
 
 BIN_S = 5.0
-FINE_SHARE = 0.9  # of BIN_S: rows every 5 s, a little early or late, are left as they are
+FINE_SHARE, SLOW_SHARE = 0.9, 1.1  # of BIN_S: rows every 5 s, more or less, are as good as bins
 # The model's residuals stay alike for about a minute: rows closer together share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, short enough for one load
@@ -33,6 +33,8 @@ SMOOTH_S = 30.0  # of the slope: the model is smoother than the turns of an airc
 FIRST_READINGS = 8  # temperatures whose median is that of the start: one spike does not move it
 ROOM_C = 22.0  # ambient of a record without any temperature
 FLAT_SD_V = 0.008  # error of the model where the voltage is flat, per cell
+# A bench holds its load if few rows follow a step: of the upper current (90 % point), and of the rows.
+STEP_SHARE, HELD_SHARE = 0.1, 0.25
 LEAST_ROWS, LEAST_BINS = 10, 3  # fewer bins have no curvature, and fewer rows no scatter
 
 
@@ -261,6 +263,18 @@ def _side_by_side(records: list[_Rows]) -> _Rows:
     return every._replace(is_real=every.is_real & (np.arange(most)[:, None] < own))
 
 
+def after_step(record: ObservedRecord) -> NDArray[np.bool_]:
+    """Mark the rows of a slow bench test that follow a step of its load: nobody knows how long ago the step was.
+
+    A voltage read at the step shows the resistance alone, one read some seconds later the polarisation, too. Compared
+    with a current that is interpolated between the rows, it would make the fitted resistance up to a fifth too small.
+    """
+    steps = np.abs(np.diff(record.current_A, prepend=record.current_A[0]))
+    marks: NDArray[np.bool_] = steps > STEP_SHARE * np.percentile(np.abs(record.current_A), 90)
+    is_slow_bench = np.isfinite(record.ambient_C) and np.median(np.diff(record.time_s)) > SLOW_SHARE * BIN_S
+    return marks if is_slow_bench and np.mean(marks) < HELD_SHARE else np.zeros_like(marks)
+
+
 def _split(record: ObservedRecord) -> _Rows:
     """Return the rows of a record with steps of at most LONGEST_STEP_S filled in between them."""
     time_s = record.time_s
@@ -274,4 +288,5 @@ def _split(record: ObservedRecord) -> _Rows:
     smooth = np.convolve(np.pad(record.voltage_V, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
     slope = np.abs(np.gradient(smooth, time_s))
     columns = (record.voltage_V, record.current_A, record.temp_C, slope, spacing)
-    return _Rows(grid, np.isin(grid, time_s), *(np.interp(grid, time_s, column) for column in columns))
+    real = np.isin(grid, time_s[~after_step(record)])
+    return _Rows(grid, real, *(np.interp(grid, time_s, column) for column in columns))
