@@ -79,8 +79,10 @@ def flight_for_ledger(
         return FlightForLedger(None, future_words(flight.identity.start_utc_s))
     options, rows = of_known_cells(options, before), _metered(flight)
     last_loaded = _last_loaded(rows)
+    if not rows:
+        return FlightForLedger(None, "no current was measured")
     if last_loaded is None:
-        return FlightForLedger(None, "no current was measured under load")
+        return FlightForLedger(None, f"less than {LEAST_LOADED_S:.0f} s under load")
     facts = flight.facts_at(math.inf)
     if facts.sag_compensated:
         return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
