@@ -101,7 +101,10 @@ def test_rows_without_a_voltage_are_left_out(tmp_path):
         (ROWS.replace("11.0", "12.5").replace("10.5", "12.5"), "voltage_v is constant at 12.5"),
         (ROWS.replace(",,\n", ",,20\n"), "column surface_c: expected readings, every row says 20"),
         (ROWS.replace(",,\n", ",0,\n"), "column current_a: expected readings, every row says 0"),
-        (ROWS.replace("a,1,25,60", "a,1,298,60"), "line 3, ambient_c: expected -80 to 150 °C, found 298 (kelvin?)"),
+        (ROWS.replace("a,1,25,60", "a,1,298,60"), "line 3, ambient_c: expected -80 to 70 °C, found 298 (kelvin?)"),
+        (ROWS.replace("a,1,25", "a,1,77"), "line 2, ambient_c: expected -80 to 70 °C, found 77 (degrees Fahrenheit?)"),
+        ("-,-,degC,s,V,A,degC\n" + ROWS, "line 2, run: expected a finite number, found '-' (a row of units?"),
+        (ROWS.replace("11.0", "11,0"), "line 3: expected 7 cells, found 8 (decimal commas?"),
         (ROWS.replace("a,1,25,60", "a,1.5,25,60"), "line 3, run: expected a whole number, found '1.5'"),
         (ROWS.replace("a,1,25,60", ",1,25,60"), "line 3, sample: expected a label"),
         (ROWS.replace("11.0,,", "11.0,"), "line 3: expected 7 cells, found 6"),
@@ -117,10 +120,12 @@ def test_bad_rows_name_their_line(tmp_path, rows, said):
 @pytest.mark.parametrize(
     ("header", "said"),
     [
-        (HEADER.replace("voltage_v", "voltag_v"), "line 1: expected a column voltage_v, found voltag_v"),
-        (HEADER.replace(",surface_c", ""), "line 1: expected a column surface_c"),
+        (HEADER.replace("voltage_v", "voltag_v"), "line 1: expected the column voltage_v, found voltag_v"),
+        (HEADER.replace(",surface_c", ""), "line 1: expected the column surface_c; all of them"),
         (HEADER.replace("\n", ",humidity\n"), "found humidity"),
-        ("", "line 1: expected a column sample"),
+        (HEADER.replace("sample,run", "Sample,Run"), "line 1: expected the columns sample,run, found Sample"),
+        (HEADER.replace(",", ";"), "found semicolons or tabs between the columns: write commas"),
+        ("", "line 1: expected the columns sample,run"),
     ],
 )
 def test_bad_header(tmp_path, header, said):
@@ -134,6 +139,7 @@ def test_bad_header(tmp_path, header, said):
         (BATTERY + "cutof_V = 9\n", "did you mean cutoff_V?"),
         (BATTERY.replace("= 3", '= "three"'), "key cells_series"),
         (BATTERY.replace("9.3", "-1"), "key cutoff_V"),
+        (BATTERY.replace("9.3", "3.3"), "cutoff_V: expected the voltage of the whole pack: 3.3 V is 1.1 V a cell"),
         (BATTERY + "capacity_Ah = 5000\n", "capacity_Ah: expected ampere-hours, found 5000 (mAh?)"),
         (BATTERY + "[uncertainty]\nvoltage_resolution = 0.01\n", "key uncertainty.voltage_resolution"),
         (BATTERY + "oops", "expected TOML"),
@@ -145,6 +151,33 @@ def test_bad_header(tmp_path, header, said):
 )
 def test_bad_battery_names_the_key(tmp_path, battery, said):
     assert said in complaint(folder(tmp_path, battery=battery))
+
+
+def measured(current_A: float = 10.0, second_s: float = 1.0, surface: float = 1.0, zero: float = 0.0) -> str:
+    """Return a whole discharge of 5 Ah in half an hour, with each quantity in a unit of so many of ours."""
+    rows = [(60.0 * i, 12.5 - 0.11 * i, current_A, surface * (25.0 + 0.3 * i) + zero) for i in range(31)]
+    return "".join(f"a,1,25,{t * second_s:g},{v:.2f},{i:g},{c:.1f}\n" for t, v, i, c in rows)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (measured(-10.0), "sample a, run 1 at 25 °C, current_a: expected positive numbers in discharge"),
+        (measured(10_000.0), "sample a, run 1 at 25 °C: expected current_a in A and time_s in s, the run draws"),
+        (measured(10_000.0), "(milliamperes?)"),
+        (measured(second_s=200.0), "the run draws 1e+03 Ah of 5 Ah"),
+        (measured(second_s=500.0), "(milliseconds?)"),
+        (measured(second_s=1 / 60), "no run draws more than 0.083 Ah of 5 Ah (minutes?)"),
+        (measured(second_s=1 / 3600), "(hours?)"),
+        (measured(surface=1.8, zero=32.0), "column surface_c: expected °C, sample a, run 1 at 25 °C begins with 77"),
+    ],
+)
+def test_a_wrong_unit_shows_in_the_sums_over_a_run(tmp_path, rows, said):
+    assert said in complaint(folder(tmp_path, rows, BATTERY + "capacity_Ah = 5.0\n"))
+
+
+def test_a_discharge_in_the_right_units_is_read(tmp_path):
+    assert len(dataset.load(folder(tmp_path, measured(), BATTERY + "capacity_Ah = 5.0\n")).runs) == 1
 
 
 def test_bad_folders(tmp_path):
@@ -186,5 +219,5 @@ def test_all_missing_keys_are_named_at_once(tmp_path: Path) -> None:
 def test_all_missing_columns_are_named_at_once(tmp_path: Path) -> None:
     dataset.write_template(tmp_path)
     (tmp_path / "discharge.csv").write_text("sample;run;ambient_c\nA;1;25\n")
-    with pytest.raises(BadInput, match=r"a column sample and one run .*semicolons.*all of them: sample,run"):
+    with pytest.raises(BadInput, match=r"the columns sample,run,ambient_c,.*semicolons"):
         dataset.load(tmp_path)

@@ -22,11 +22,12 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import numpy as np
 
+from uavbatt.dataset_checks import check_runs
 from uavbatt.dataset_csv import MIN_POINTS, Array, read_runs
 from uavbatt.dataset_csv import Run as Run
 from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
-from uavbatt.limits import CAPACITY_AH, capacity_doubt
+from uavbatt.limits import CAPACITY_AH, capacity_doubt, ending_doubt
 
 TEMPLATE_FILES = ("battery.toml", "discharge.csv")
 QUANTITIES = ("voltage_V", "surface_C", "current_A")
@@ -150,16 +151,24 @@ def load(path: str | Path | None = None) -> DataSet:
         raise BadInput(shown, "", f"a folder with battery.toml and discharge.csv; {missing} missing")
     battery = _decode(root / "battery.toml", f"{shown}/battery.toml", _Battery)
     _check_name(battery.name, f"{shown}/battery.toml")
-    if battery.capacity_Ah is not None and capacity_doubt(battery.capacity_Ah) is not None:
-        slip = " (mAh?)" if battery.capacity_Ah > CAPACITY_AH[1] else ""
-        said = f"ampere-hours, found {battery.capacity_Ah:g}{slip}"
-        raise BadInput(f"{shown}/battery.toml", "key capacity_Ah", said)
+    _check_numbers(battery, f"{shown}/battery.toml")
     shown_csv = f"{shown}/discharge.csv"
     runs = read_runs(_text(root / "discharge.csv", shown_csv), shown_csv, battery.cells_series)
+    check_runs(runs, math.nan if battery.capacity_Ah is None else battery.capacity_Ah, battery.cutoff_V, shown_csv)
     has_flags = (root / "flags.toml").is_file()
     flags = _decode(root / "flags.toml", f"{shown}/flags.toml", _Flags).flag if has_flags else []
     facts = {f: getattr(battery, f) for f in battery.__struct_fields__}
     return DataSet(**facts, runs=runs, sha256=_digest(battery, runs), path=shown, flags=tuple(flags))
+
+
+def _check_numbers(battery: _Battery, shown: str) -> None:
+    """Raise BadInput for a capacity, or a cut-off of so many cells, that no pack has."""
+    if battery.capacity_Ah is not None and capacity_doubt(battery.capacity_Ah) is not None:
+        slip = " (mAh?)" if battery.capacity_Ah > CAPACITY_AH[1] else ""
+        raise BadInput(shown, "key capacity_Ah", f"ampere-hours, found {battery.capacity_Ah:g}{slip}")
+    doubt = ending_doubt("", battery.cutoff_V, battery.cells_series)
+    if doubt is not None and doubt.is_certain:
+        raise BadInput(shown, "key cutoff_V", f"the voltage of the whole pack: {doubt.words}")
 
 
 def _check_name(name: str, shown: str) -> None:

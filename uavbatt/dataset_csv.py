@@ -2,7 +2,8 @@
 
 Columns `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c` in any order; an empty cell means not
 measured, and a row without a voltage is left out. A run is one (sample, run, ambient) triple. Bounds: a lithium
-cell reads 0.5 to 5 V, a test chamber -80 to 150 °C; other values are mistakes of the unit. Every error names the line.
+cell reads 0.5 to 5 V, the air of a test is at -80 to 70 °C; other values are mistakes of the unit. Every error names
+the line.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "su
 MIN_POINTS = 3
 CELL_RANGE_V = (0.5, 5.0)
 LEAST_HIGHEST_CELL_V = 2.2  # every flying cell shows more at some time; half a full LiPo cell is less
-TEMP_RANGE_C = (-80.0, 150.0)
+TEMP_RANGE_C = {"ambient_c": (-80.0, 70.0), "surface_c": (-80.0, 150.0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,11 @@ class Run:
     voltage_V: Array
     current_A: Array
     surface_C: Array
+
+    @property
+    def place(self) -> str:
+        """Return the run's name in an error: `sample A, run 1 at 25 °C`."""
+        return f"sample {self.sample}, run {self.run} at {self.ambient_C:g} °C"
 
 
 class _Row(NamedTuple):
@@ -62,28 +68,35 @@ def _rows(text: str, shown: str) -> list[_Row]:
     header = [h.strip() for h in next(reader, [])]
     if not any(header):
         raise BadInput(shown, "line 1", f"the columns {','.join(COLUMNS)}, the file is empty")
-    absent = [name for name in COLUMNS if name not in header]
-    if absent:
-        near = get_close_matches(absent[0], [h for h in header if h not in COLUMNS], 1)
-        said = f"a column {' and one '.join(absent)}" + (f", found {near[0]}" if near else "")
-        mark = ";" if ";" in header[0] else "\t" if "\t" in header[0] else ""
-        said += " (commas between the columns, found semicolons or tabs)" if mark else ""
-        raise BadInput(shown, "line 1", f"{said}; all of them: {','.join(COLUMNS)}")
-    extra = [h for h in header if h not in COLUMNS or header.count(h) > 1]
-    if extra:
-        said = f"only the columns {','.join(COLUMNS)}, found {extra[0] or 'an empty name'}"
-        raise BadInput(shown, "line 1", said)
+    _check_header(header, shown)
     rows = []
     for cells in reader:
         line = reader.line_num
         if not any(c.strip() for c in cells):
             continue
         if len(cells) != len(header):
-            raise BadInput(shown, f"line {line}", f"{len(header)} cells, found {len(cells)}")
+            commas = " (decimal commas? decimals are written with points)" if len(cells) > len(header) else ""
+            raise BadInput(shown, f"line {line}", f"{len(header)} cells, found {len(cells)}{commas}")
         rows.append(_row(dict(zip(header, cells, strict=True)), line, shown))
     if not rows:
         raise BadInput(shown, "line 2", "at least one row of readings")
     return rows
+
+
+def _check_header(header: list[str], shown: str) -> None:
+    """Raise BadInput if the columns are not COLUMNS, in any order."""
+    absent = [name for name in COLUMNS if name not in header]
+    if absent:
+        near = get_close_matches(absent[0], [h for h in header if h not in COLUMNS], 1)
+        said = f"the column{'s' * (len(absent) > 1)} {','.join(absent)}" + (f", found {near[0]}" if near else "")
+        if ";" in header[0] or "\t" in header[0]:
+            said += " (found semicolons or tabs between the columns: write commas, and decimals with points)"
+        rest = f"; all of them: {','.join(COLUMNS)}" if len(absent) < len(COLUMNS) else ""
+        raise BadInput(shown, "line 1", f"{said}{rest}")
+    extra = [h for h in header if h not in COLUMNS or header.count(h) > 1]
+    if extra:
+        said = f"only the columns {','.join(COLUMNS)}, found {extra[0] or 'an empty name'}"
+        raise BadInput(shown, "line 1", said)
 
 
 def _row(cells: dict[str, str], line: int, shown: str) -> _Row:
@@ -97,7 +110,8 @@ def _row(cells: dict[str, str], line: int, shown: str) -> _Row:
             value = math.nan
         if not math.isfinite(value):
             empty = "" if needed else " or an empty cell"
-            raise BadInput(shown, f"line {line}, {name}", f"a finite number{empty}, found '{text}'")
+            units = " (a row of units? the header is one line)" if line == 2 and text and name == "run" else ""
+            raise BadInput(shown, f"line {line}, {name}", f"a finite number{empty}, found '{text}'{units}")
         return value
 
     sample, run = cells["sample"].strip(), number("run", needed=True)
@@ -141,9 +155,10 @@ def _check_units(row: _Row, cells_series: int, shown: str) -> None:
         said = f"{low * cells_series:g} to {high * cells_series:g} V for {cells_series} cells in series"
         raise BadInput(shown, f"{place}, voltage_v", f"{said}, found {row.voltage_V:g}{guess}")
     for name, value in (("ambient_c", row.key[2]), ("surface_c", row.surface_C)):
-        if not (math.isnan(value) or TEMP_RANGE_C[0] <= value <= TEMP_RANGE_C[1]):
-            guess = " (kelvin?)" if 190 < value < 425 else ""
-            raise BadInput(shown, f"{place}, {name}", f"-80 to 150 °C, found {value:g}{guess}")
+        low, high = TEMP_RANGE_C[name]
+        if not (math.isnan(value) or low <= value <= high):
+            guess = " (kelvin?)" if 190 < value < 425 else " (degrees Fahrenheit?)" if high < value <= 190 else ""
+            raise BadInput(shown, f"{place}, {name}", f"{low:g} to {high:g} °C, found {value:g}{guess}")
 
 
 def _run(key: tuple[str, int, float], rows: list[_Row], cells_series: int, shown: str) -> Run:

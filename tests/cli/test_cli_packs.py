@@ -64,7 +64,7 @@ def test_forget_export_and_import(run, ledger, tmp_path):
     ("arguments", "code", "words"),
     [
         (["packs", "none.sqlite"], 1, "none.sqlite: expected a pack ledger, found no such file"),
-        (["packs", "{ledger}", "--pack", "C"], 1, "expected a pack named C, found none"),
+        (["packs", "{ledger}", "--pack", "C"], 1, "expected a pack named C, found A, B"),
         (["packs", "{ledger}", "--forget", "C"], 1, "expected a pack named C to forget"),
         (["packs", "empty.sqlite"], 1, "empty.sqlite: expected a pack ledger, found an empty file"),
         (["packs", "."], 1, ".: expected a pack ledger, found a directory"),

@@ -145,7 +145,8 @@ def test_the_same_numbers_stand_in_the_summary_first_line_and_lines(tmp_path: Pa
 
 def test_a_log_alone_is_replayed(short_log: Path, tmp_path: Path) -> None:
     assert called(short_log, folder=tmp_path).stdout == called("replay", short_log, folder=tmp_path).stdout
-    assert called("nothing.BIN", folder=tmp_path).returncode == 2
+    missing = called("nothing.BIN", folder=tmp_path)
+    assert missing.returncode == 2 and "nothing.BIN: expected a command or a flight log" in missing.stderr
 
 
 def test_one_bad_log_among_good_ones_is_a_line(tmp_path: Path) -> None:

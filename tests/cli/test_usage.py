@@ -45,6 +45,19 @@ def test_a_number_without_an_upper_end_is_told_its_lower_one(tmp_path: Path) -> 
     assert done.returncode == 2 and "'--power-w': expected a number of at least 1, found nan" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (("--capacity-ah", "5Ah"), "'--capacity-ah': expected a number, found 5Ah (see"),
+        (("--cells=4S",), "'--cells': expected a whole number, found 4S (see"),
+        (("--system", "300"), "'--system': expected a number less than or equal to 255, found 300 (see"),
+    ],
+)
+def test_a_value_that_is_no_such_number_is_told(option: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    done = called("replay", "f.csv", *option, folder=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and said in done.stderr
+
+
 def test_without_words_the_help_is_shown(tmp_path: Path) -> None:
     done = called(folder=tmp_path)
     assert done.returncode == 2 and done.stderr == "" and "replay" in done.stdout and "diagnose" in done.stdout

@@ -138,6 +138,15 @@ REFUSED: dict[str, Use] = {
         ("plan", "--cells", "4", *STATED, "--power-w", "99999"), 2, ("99999 W on 4S 5 Ah", "1351 C", "60 C")
     ),
     "1e308 W": Use(("plan", "--cells", "4", *STATED, "--power-w", "1e308"), 2, ("1e+308 W on 4S 5 Ah", "60 C")),
+    "a battery file with the name of a vehicle file": Use(
+        ("fit", "two", "-o", "x.vehicle.toml"), 2, ("-o x.vehicle.toml", "expected NAME.battery.toml")
+    ),
+    "other cells than the data set's": Use(
+        ("fit", "two", "-o", "x.battery.toml", "--cells", "6"), 2, ("--cells 6", "expected 4, as two/battery.toml")
+    ),
+    "a folder of logs": Use(
+        ("fit", "Flüge", "-o", "x.battery.toml"), 2, ("Flüge", "expected a data set", "name the logs (Flüge/*)")
+    ),
     "a data set in mV": Use(("validate", "mv"), 1, ("discharge.csv", "line 2", "voltage_v", "(millivolts?)")),
     "a data set of one cell": Use(("validate", "cell"), 1, ("discharge.csv", "4.15 V at most for 4", "per cell?")),
     "a data set that leads away": Use(

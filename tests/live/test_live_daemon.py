@@ -57,6 +57,15 @@ def test_silence_is_stale_everywhere_after_three_seconds() -> None:
     assert 'uavbatt_remaining_seconds{battery="0",quantile="0.5"} NaN' in scraped
 
 
+def test_a_scraper_can_tell_waiting_for_take_off_from_a_refusal() -> None:
+    bench = Bench()
+    bench.play(Sample(0.5 * k, 16.7, 0.5, 20.0, armed=False) for k in range(8))
+    waiting = metrics(bench.daemon.board, bench.now_s).decode()
+    assert 'uavbatt_waiting{battery="0"} 1.0' in waiting and 'status="refused"} 1.0' in waiting
+    bench.fly(60.0)
+    assert 'uavbatt_waiting{battery="0"} 0.0' in metrics(bench.daemon.board, bench.now_s).decode()
+
+
 def test_only_three_messages_travel_towards_the_autopilot() -> None:
     bench = Bench(link=LinkSection(endpoint="x", gcs=["y"], request=True), feed=FeedSection(kinds=("named", "battery")))
     bench.fly(30.0)

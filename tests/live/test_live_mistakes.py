@@ -17,6 +17,7 @@ HERE = "udpin:127.0.0.1:{port}"
     ("call", "words"),
     [
         (("/dev/ttyS0,57601",), "endpoint `/dev/ttyS0,57601`: 57601 is no baud rate of this system"),
+        ((HERE, "--feed", "named"), "--feed named: expected --gcs ENDPOINT, where the ground station is"),
         ((HERE, "--gcs", "udpout:127.0.0.1:{port}"), "it is the autopilot's ENDPOINT"),
         ((HERE, "--http", "127.0.0.1:{taken}"), "--http 127.0.0.1:{taken}: Address already in use"),
         ((HERE, "--state", "gone/state.json"), "--state gone/state.json: expected an existing folder to write into"),

@@ -237,3 +237,23 @@ def test_an_error_names_the_key_and_the_file(tmp_path: Path, text: str, key: str
     with pytest.raises(config.BadInput) as error:
         config.read_config(path)
     assert key in str(error.value) and "my.toml" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[pack]\ncapacity_ah = 5\n", "key pack.capacity_ah: expected a known key, did you mean capacity_Ah?"),
+        ("capacity_Ah = 5\n", "key capacity_Ah: expected one of link, pack, packs, feed, http, record, state"),
+        ("[pack]\ncapacity_Ah = 5000\n", "key pack.capacity_Ah: expected `float` <= 500.0"),
+    ],
+)
+def test_an_unknown_key_is_told_the_nearest(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "my.toml").write_text(text)
+    with pytest.raises(config.BadInput) as error:
+        config.read_config(tmp_path / "my.toml")
+    assert said in str(error.value)
+
+
+def test_the_address_of_the_page_is_one_that_a_browser_takes() -> None:
+    shown = [config.page_address(text) for text in ("8080", ":8080", "127.0.0.1:8080", "[::1]:8080")]
+    assert shown == [*3 * ["http://127.0.0.1:8080/"], "http://[::1]:8080/"]

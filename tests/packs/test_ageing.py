@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from packs.made import RATED_AH, TYPE_OHM, flight
 
+from uavbatt.battery.battery_file import GENERIC
 from uavbatt.packs import ageing
+from uavbatt.packs.findings import of_battery_file
 from uavbatt.packs.outlook import outlook
+from uavbatt.packs.words import retire_words
 
 WIGGLE = (0.01, -0.02, 0.015, -0.005, 0.02, -0.015, 0.0, 0.01, -0.01, 0.005)
 
@@ -43,7 +46,7 @@ def test_a_flight_that_says_nothing_of_the_charge_leaves_it_where_it_was():
 def test_an_ageing_pack_is_followed_and_its_trend_foretells_the_end():
     found = ageing.history([flight(k, 1.03**k, 0.98**k) for k in range(8)])
     assert not any(kinds(f) for f in found)
-    seen = outlook(found[-1].known, RATED_AH, 8)
+    seen = outlook(found[-1].known, RATED_AH, 8, "a-make")
     assert seen.capacity_trend == pytest.approx(math.log(0.98), abs=0.006)
     left = math.log(0.98**7 / 0.8) / -math.log(0.98)
     assert seen.retire_lo_flights < left < seen.retire_hi_flights
@@ -52,7 +55,25 @@ def test_an_ageing_pack_is_followed_and_its_trend_foretells_the_end():
 
 def test_no_end_in_sight_is_told_as_such():
     found = ageing.history([flight(k, charge_sd=0.01) for k in range(10)])
-    assert outlook(found[-1].known, RATED_AH, 10).retire_hi_flights == math.inf
+    assert outlook(found[-1].known, RATED_AH, 10, "a-make").retire_hi_flights == math.inf
+
+
+def test_the_generic_file_alone_retires_no_pack():
+    found = ageing.history([flight(k, 1.5, 0.73) for k in range(8)])
+    own, generic = (outlook(found[-1].known, RATED_AH, 8, name) for name in ("a-make", GENERIC))
+    assert retire_words(own) == "retire now: below 80% already"
+    assert retire_words(generic) == "probably below 80% already, but not certain: measure its charge"
+    assert generic.capacity_lo_Ah < 0.6 * RATED_AH and generic.capacity_hi_Ah > 0.85 * RATED_AH
+
+
+def test_an_interval_from_now_to_never_is_no_date():
+    found = ageing.history([flight(k, 1.0, 0.86) for k in range(8)])
+    assert retire_words(outlook(found[-1].known, RATED_AH, 8, GENERIC)) == "not known when to retire it"
+
+
+def test_a_pack_says_that_it_is_read_with_the_generic_file():
+    assert [finding.kind for finding in of_battery_file(GENERIC)] == ["generic_file"]
+    assert of_battery_file("a-make") == ()
 
 
 def test_damage_is_named_and_believed_at_once():

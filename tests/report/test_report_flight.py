@@ -21,6 +21,7 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
 from uavbatt.report.flight import flight_report
 from uavbatt.report.flight_events import apart, events
+from uavbatt.report.flight_text import dated_warnings
 from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
 
 RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
@@ -232,3 +233,17 @@ def test_beside_a_temperature_the_expected_innovation_is_the_greatest_lower_boun
     assert (found <= 0.04 + 1e-12).all()
     unknown = innovation_sd(np.where(np.arange(60) % 2, np.nan, innovation), nis_V, np.full(60, 25.0))
     assert np.isnan(unknown[1::2]).all() and np.isfinite(unknown[::2]).all()
+
+
+def test_a_warning_is_dated_by_its_last_stretch_and_by_its_first_time() -> None:
+    def warned(*spans: tuple[int, int]) -> list[str]:
+        run = [step(float(t)) for t in range(600)]
+        for begin, end in spans:
+            run[begin:end] = [step(float(t), warnings=("low",)) for t in range(begin, end)]
+        return dated_warnings(run)
+
+    assert warned((0, 600)) == ["low"]
+    assert warned((300, 600)) == ["low (since 5 min 00 s)"]
+    assert warned((300, 400), (405, 600)) == ["low (since 5 min 00 s)"]
+    assert warned((60, 70), (300, 600)) == ["low (since 5 min 00 s, first at 1 min 00 s)"]
+    assert warned((60, 70), (300, 400)) == ["low (1 min 00 s to 6 min 39 s)"]

@@ -59,6 +59,7 @@ __all__ = [
 ]
 
 SUFFIX = ".battery.toml"
+GENERIC = "lipo-generic"  # the packaged file of a typical LiPo cell
 MOST_BYTES = 5_000_000
 EMPTY_KNOT, FULL_KNOT = 0.2, 0.8  # beyond its outer knots the open-circuit voltage goes on straight
 STEEPEST_V = 300.0  # volts per unit of charge: an emptied cell falls by 10 to 100

@@ -14,6 +14,7 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    check_kind,
     check_named,
     check_writable,
     read_battery,
@@ -21,7 +22,7 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.errors import UsageError
+from uavbatt.errors import BadInput, UavbattError, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -48,16 +49,14 @@ def fit(
 
     Example: uavbatt fit day1.BIN day2.BIN --cells 4 --capacity-ah 5 --vehicle quad.vehicle.toml
     """
-    from uavbatt import dataset
-    from uavbatt.battery import battery_file
-
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
         raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
     check_named(output, vehicle)
+    check_kind(output, vehicle)
     check_writable(output, vehicle, reads=sources)
-    datasets = [dataset.load(path) for path in sources if path.is_dir()]
+    datasets = [_loaded(path) for path in sources if path.is_dir()]
     flights = [asked_flight(path, instance, join, system) for path in sources if not path.is_dir()]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
@@ -68,9 +67,30 @@ def fit(
         for line in _findings(found) if output is not None else []:  # they are about the battery file
             say(line)
     if output is not None:
-        say(f"{battery_file.write_battery(content, output)}: fitted to {content.discrepancy.source}; not certified")
+        say(f"{_written(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:
         say(_vehicle(vehicle, content, flights, stated))
+
+
+def _loaded(folder: Path) -> DataSet:
+    """Return the data set in a folder. Raises UsageError for a folder of logs: they are named one by one."""
+    from uavbatt import dataset
+
+    if not any((folder / name).exists() for name in dataset.TEMPLATE_FILES) and any(folder.iterdir()):
+        said = "expected a data set with battery.toml and discharge.csv; of a folder of logs name the logs"
+        raise UsageError(f"{folder}: {said} ({folder}/*)")
+    return dataset.load(folder)
+
+
+def _written(content: BatteryFile, output: Path) -> Path:
+    """Write the battery file and return its path. Raises UavbattError for parameters that no battery has."""
+    from uavbatt.battery.battery_file import write_battery
+
+    try:
+        return write_battery(content, output)
+    except BadInput as error:
+        said = "the fit found what no battery has: are cells, capacity and currents as stated?"
+        raise UavbattError(f"{said} Nothing is written; {error}") from None
 
 
 def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> BatteryFile:

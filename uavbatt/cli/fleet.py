@@ -194,7 +194,8 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} replayed, {failed} failed")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
-        say(f"  {count:5d}  {reason}")
+        names = ", ".join(Path(log).name for log in overview.failed[reason])
+        say(f"  {count:5d}  {reason} ({names}{', ...' if count > len(overview.failed[reason]) else ''})")
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
         raise UavbattError(f"none of {logs} logs could be replayed, the reasons are in {folder / CSV}")

@@ -82,6 +82,8 @@ def live(
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")
     merged = checked(_overridden(read_config(config), given))
+    if feed and not merged.link.gcs:
+        raise UsageError(f"--feed {feed[0]}: expected --gcs ENDPOINT, where the ground station is")
     _check_places(merged)
     _exec_live(merged)
 

@@ -79,8 +79,10 @@ def load_filterpy() -> None:
 
 
 def _feeds(config: Config) -> str:
+    from uavbatt.live.config import page_address
+
     words = [f"feed {', '.join(config.feed.kinds)} to {', '.join(config.link.gcs)}" if config.link.gcs else ""]
-    words.append(f"page on http://{config.http.listen}/" if config.http.listen else "")
+    words.append(f"page on {page_address(config.http.listen)}" if config.http.listen else "")
     words.append(_recording(Path(config.record.folder)) if config.record.folder else "")
     return "; ".join(word for word in words if word) or "no ground station (--gcs), no page (--http), no recording"
 

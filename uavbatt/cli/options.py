@@ -113,6 +113,14 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), mak
             raise UsageError(f"{target}: expected a folder that can be written: permission denied")
 
 
+def check_kind(battery: Path | None, vehicle: Path | None) -> None:
+    """Raise UsageError for a battery file that is named as a vehicle file, or the other way round."""
+    if battery is not None and battery.name.endswith(".vehicle.toml"):
+        raise UsageError(f"-o {battery}: expected NAME.battery.toml; --vehicle writes a vehicle file")
+    if vehicle is not None and vehicle.name.endswith(".battery.toml"):
+        raise UsageError(f"--vehicle {vehicle}: expected NAME.vehicle.toml; -o writes a battery file")
+
+
 def check_named(*targets: Path | None) -> None:
     """Raise UsageError for `-`, as a battery or vehicle file needs a name."""
     if STANDARD_OUTPUT in targets:

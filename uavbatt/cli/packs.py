@@ -11,6 +11,8 @@ import typer
 from uavbatt.cli.options import ReportOption, check_writable, remark, say
 from uavbatt.errors import UavbattError, UsageError
 
+MOST_NAMES = 10  # of known packs in an error
+
 if TYPE_CHECKING:
     from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.records import LedgerFlight, PackRow
@@ -80,7 +82,9 @@ def _chosen(ledger: Ledger, name: str) -> list[PackRow]:
         return ledger.packs()
     found = ledger.pack(name)
     if found is None:
-        raise UavbattError(f"{ledger.path}: expected a pack named {name}, found none")
+        known = [pack.name for pack in ledger.packs()]
+        there = f"{', '.join(known[:MOST_NAMES])}{', ...' if len(known) > MOST_NAMES else ''}" or "none"
+        raise UavbattError(f"{ledger.path}: expected a pack named {name}, found {there}")
     return [found]
 
 

@@ -197,6 +197,9 @@ def _check_caller(
     refuse_certain(ending_doubt("--cutoff-voltage ", cutoff_V, series))
     if cells is None:
         return
+    for data in datasets:
+        if data.cells_series != cells:
+            raise UsageError(f"--cells {cells}: expected {data.cells_series}, as {data.path}/battery.toml states")
     firsts = [(str(d.path), FirstVoltages(d.first_V)) for d in datasets]
     for source, voltages in firsts + [(f.source, first_voltages(f.samples)) for f in flights]:
         refuse_certain(cells_doubt(cells, voltages, Resting()), f"{source}: --cells: ")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy
+from uavbatt.battery.battery_file import GENERIC, Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
 # Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.
@@ -20,7 +20,7 @@ def generic_lipo() -> BatteryFile:
     error = {s.name: s.sd * (s.prior if s.log else 1.0) for s in slots}
     return BatteryFile(
         battery=Battery(
-            name="lipo-generic",
+            name=GENERIC,
             chemistry="LiPo",
             cells_series=1,
             cutoff_V=CUTOFF_CELL_V,

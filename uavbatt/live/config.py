@@ -133,11 +133,25 @@ def read_config(path: Path | None = None) -> Config:
     try:
         return msgspec.toml.decode(text, type=Config)
     except msgspec.ValidationError as error:
-        what, _, place = str(error).partition(" - at `$.")
-        key = place.rstrip("`")
-        raise BadInput(named, f"key {key}" if key else "", f"the keys of uavbatt.toml: {what}") from None
+        raise _misread(named, str(error)) from None
     except (msgspec.DecodeError, ValueError, RecursionError) as error:  # no UTF-8, too deeply nested
         raise BadInput(named, "", f"TOML: {error}") from None
+
+
+def _misread(path: Path, said: str) -> BadInput:
+    """Return the error for a key or a value that the configuration does not know, from a message of msgspec."""
+    from difflib import get_close_matches
+
+    what, _, place = said.partition(" - at `$.")
+    key = place.rstrip("`")
+    if "unknown field `" not in what:
+        expected = what.removeprefix("Expected ") if what.startswith("Expected ") else what
+        return BadInput(path, f"key {key}" if key else "", f"{expected}, as in scripts/uavbatt.toml")
+    unknown = what.split("`")[1]
+    section = next((f.type for f in msgspec.structs.fields(Config) if f.name == key), Config)
+    near = get_close_matches(unknown, section.__struct_fields__, 1, 0.5)
+    hint = f"a known key, did you mean {near[0]}?" if near else f"one of {', '.join(section.__struct_fields__)}"
+    return BadInput(path, f"key {key}.{unknown}" if key else f"key {unknown}", hint)
 
 
 def _named() -> Path | None:
@@ -171,6 +185,12 @@ def address(text: str) -> tuple[str, int]:
     if not port.isdigit() or not 0 <= int(port) < 65536:
         raise UsageError(f"--http {text}: expected HOST:PORT")
     return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def page_address(text: str) -> str:
+    """Return the address of the page for a browser, from HOST:PORT, :PORT or PORT."""
+    host, port = address(text)
+    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
 
 
 def signing_key(path: str) -> bytes | None:

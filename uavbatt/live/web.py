@@ -43,6 +43,7 @@ GAUGES = {
     "temp_C": ("uavbatt_temperature_celsius", "Pack temperature"),
     "innovation_V": ("uavbatt_innovation_volts", "Voltage less its prediction"),
     "age_s": ("uavbatt_sample_age_seconds", "Age of the last row"),
+    "waiting": ("uavbatt_waiting", "1 on the ground, waiting for take-off: no number is missing"),
 }
 QUANTILES = {"0.05": "remaining_lo_s", "0.5": "remaining_s", "0.95": "remaining_hi_s"}
 COUNTERS = {"rows": "samples", "refused": "forecast_refused"}  # count of the process -> its name where that differs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from uavbatt.battery.battery_file import GENERIC
 from uavbatt.battery.model import Array
 from uavbatt.packs.records import FlightRecord, PackFinding
 
@@ -33,6 +34,14 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
         words = f"its counter fell from {earlier.cycles} to {flight.cycles} cycles: {HELD_TEXT}"
         found.append(PackFinding("counter", words))
     return tuple(found)
+
+
+def of_battery_file(battery: str) -> tuple[PackFinding, ...]:
+    """Return the finding that a pack's flights are read with the generic file; nothing for a file of a make."""
+    if battery != GENERIC:
+        return ()
+    words = f"read with {GENERIC}: the charge may be a fifth too low; fit a file of the make before you retire a pack"
+    return (PackFinding("generic_file", words),)
 
 
 def of_higher_charge(flight: FlightRecord) -> PackFinding:

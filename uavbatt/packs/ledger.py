@@ -18,6 +18,7 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import BadInput
 from uavbatt.packs import ageing, rows, schema
 from uavbatt.packs.dates import CLOCKS_APART_S
+from uavbatt.packs.findings import of_battery_file
 from uavbatt.packs.opening import BROKEN, file_identity, open_file, words_of
 from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackRow
@@ -201,7 +202,7 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
         if other.cells != cells:
             raise AnotherSize(path, name, cells, other.cells, index)
     if row is None:
-        nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
+        nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0, flight.battery)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
         found = connection.execute(*inserted("packs", rows.pack_row(pack)))
         number = int(found.lastrowid or 0)
@@ -242,9 +243,9 @@ def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[Ledg
         if any(row[column] != value for column, value in now.items()):
             connection.execute(*_update("flights", now, int(row["id"])))
     last = every[-1].flight
-    findings = tuple(f for after in every for f in after.findings)[-SHOWN_FINDINGS:]
+    findings = tuple(f for after in every for f in after.findings)[-SHOWN_FINDINGS:] + of_battery_file(last.battery)
     size = (name, last.cells, last.rated_Ah, last.type_ohm, last.start_utc_s)
-    state = PackRow(*size, outlook(every[-1].known, last.rated_Ah, len(every)), findings)
+    state = PackRow(*size, outlook(every[-1].known, last.rated_Ah, len(every), last.battery), findings)
     connection.execute(*_update("packs", rows.pack_row(state), pack))
     return every
 

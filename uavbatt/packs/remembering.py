@@ -79,8 +79,10 @@ def flight_for_ledger(
         return FlightForLedger(None, future_words(flight.identity.start_utc_s))
     options, rows = of_known_cells(options, before), _metered(flight)
     last_loaded = _last_loaded(rows)
+    if not rows:
+        return FlightForLedger(None, "no current was measured")
     if last_loaded is None:
-        return FlightForLedger(None, "no current was measured under load")
+        return FlightForLedger(None, f"less than {LEAST_LOADED_S:.0f} s under load")
     facts = flight.facts_at(math.inf)
     if facts.sag_compensated:
         return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
@@ -94,7 +96,8 @@ def flight_for_ledger(
     loaded = [belief for _, belief in looks if belief is not None]
     if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return FlightForLedger(None, "no estimate could be made")
-    said = evidence_of_flight(pack, loaded, last or loaded[-1], _mean_temp_C(rows[: last_loaded + 1]))
+    temp_C, is_generic = _mean_temp_C(rows[: last_loaded + 1]), battery.certificate.status == "generic"
+    said = evidence_of_flight(pack, loaded, last or loaded[-1], temp_C, is_generic)
     estimates = [e for some, _ in looks for e in some] + end
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")

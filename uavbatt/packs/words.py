@@ -18,8 +18,12 @@ def retire_words(seen: Outlook) -> str:
     """Return when to retire the pack, in words: `retire in about 12 flights (5 to 40) at 80 %`."""
     at = f"at {RETIRED_AT:.0%}"
     median, soonest, latest = seen.retire_flights, seen.retire_lo_flights, seen.retire_hi_flights
-    if median == 0.0:
+    if median == 0.0 == latest:
         return f"retire now: below {RETIRED_AT:.0%} already"
+    if median == 0.0:
+        return f"probably below {RETIRED_AT:.0%} already, but not certain: measure its charge"
+    if soonest == 0.0 and math.isinf(latest):
+        return "not known when to retire it"
     if math.isfinite(median):
         until = f"to {latest:.0f}" if math.isfinite(latest) else "or many more"
         return f"retire in about {counted(round(median), 'flight')} ({soonest:.0f} {until}) {at}"

@@ -14,7 +14,7 @@ from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import against_a_reserve, charge_interval, limits_of
 from uavbatt.report.page import duration
-from uavbatt.report.series import warnings_of
+from uavbatt.report.series import WarningSpan, warnings_of
 
 # Times that differ by less need no words: of a span from the log's ends, of a row from the instant asked for.
 JUST_S, NEAR_S = 30.0, 10.0
@@ -70,15 +70,17 @@ def plain_lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
     """Return every warning of a replay once, with its time if it did not hold from beginning to end."""
     first_s, last_s = run[0].estimate.time_s, run[-1].estimate.time_s
-    return [words + _when(stood.since_s - first_s, stood.until_s - first_s, last_s - first_s)
-            for words, stood in warnings_of(run).items()]  # fmt: skip
+    return [words + _when(stood, first_s, last_s) for words, stood in warnings_of(run).items()]
 
 
-def _when(since_s: float, until_s: float, length_s: float) -> str:
-    """Return in words when a warning held, in times since the log's first row."""
-    if length_s - until_s > JUST_S:
-        return f" ({duration(since_s)} to {duration(until_s)})"
-    return f" (since {duration(since_s)})" if since_s > JUST_S else ""
+def _when(stood: WarningSpan, first_s: float, last_s: float) -> str:
+    """Return in words when a warning held, in times since the log's first row; first_s and last_s : of its rows [s]."""
+    since = duration(stood.since_s - first_s)
+    if last_s - stood.until_s > JUST_S:
+        return f" ({since} to {duration(stood.until_s - first_s)})"
+    if stood.again_s - stood.since_s > JUST_S:
+        return f" (since {duration(stood.again_s - first_s)}, first at {since})"
+    return f" (since {since})" if stood.since_s - first_s > JUST_S else ""
 
 
 def _instant(c: Checkpoint) -> str:
@@ -147,8 +149,8 @@ def _route_lines(route: dict[str, Any]) -> list[str]:
     share, turn_s = route["route_share"], route["turn_back_now_s"]
     if share is None:
         return []
-    why = f" (else: {route['route_reason']})" if route["route_reason"] else ""
-    text_lines = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
+    why = f" (not by the others: {route['route_reason']})" if route["route_reason"] else ""
+    text_lines = [f"  route      used by {share:.0%} of the forecasts{why}"]
     if route["route_assumed"]:
         text_lines.append(f"  assumed    {route['route_assumed']}")
     if turn_s is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uavbatt.output import counted
-from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
+from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, shared_sd
 from uavbatt.packs.records import LedgerFlight, PackRow
 from uavbatt.packs.words import retire_words, trend_words
 from uavbatt.report import plot
@@ -134,7 +134,7 @@ def _trend(flights: Sequence[LedgerFlight], which: int, unit: float) -> Html:
     from_flight = np.exp([after.flight.told[which] for after in flights]) / unit
     estimates = np.exp([after.known.mean[which] for after in flights]) / unit
     variance = np.array([after.known.covariance[which, which] for after in flights])
-    factor = np.exp(INTERVAL_SD * np.sqrt(variance + SHARED_SD[which] ** 2))
+    factor = np.exp(INTERVAL_SD * np.sqrt(variance + shared_sd(flights[-1].flight.battery)[which] ** 2))
     odd: Any = [k for k, after in enumerate(flights) if after.findings]
     name, colour = ("charge / rated", plot.BLUE) if which == CHARGE else ("ohms / type's", plot.AMBER)
 

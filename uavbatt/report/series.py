@@ -24,6 +24,7 @@ MOST_STRETCHES = 24  # rows of a table that a person may read
 # A step this many times the usual one, and this long, is a gap: nothing is drawn across it.
 GAP_STEPS, GAP_S = 8.0, 5.0
 GAP = "no row in the log"
+SHORT_BREAK_S = 10.0  # a warning that is away for less goes on: a refusal between two loads
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,20 +72,30 @@ class Stretch:
 
 
 class WarningSpan(NamedTuple):
-    """WarningSpan holds the first and the last time of a warning [s], and its number of rows."""
+    """WarningSpan holds when a warning held: first and last time [s], begin of the last stretch [s], number of rows.
+
+    A break shorter than SHORT_BREAK_S ends no stretch.
+    """
 
     since_s: float
     until_s: float
+    again_s: float
     rows: int
 
 
 def warnings_of(steps: Sequence[ReplayedRow]) -> dict[str, WarningSpan]:
     """Return every warning of a replay with its span, in order of time."""
     spans: dict[str, WarningSpan] = {}
+    gone_s: dict[str, float] = {}
     for estimate in (step.estimate for step in steps):
+        now_s = estimate.time_s
         for words in estimate.warnings:
-            before = spans.get(words, WarningSpan(estimate.time_s, estimate.time_s, 0))
-            spans[words] = WarningSpan(before.since_s, estimate.time_s, before.rows + 1)
+            before = spans.get(words, WarningSpan(now_s, now_s, now_s, 0))
+            again_s = before.again_s if now_s - gone_s.pop(words, now_s) < SHORT_BREAK_S else now_s
+            spans[words] = WarningSpan(before.since_s, now_s, again_s, before.rows + 1)
+        for words in spans:
+            if words not in estimate.warnings:
+                gone_s.setdefault(words, now_s)
     return spans
 
 
