@@ -25,6 +25,7 @@ from uavbatt.packs.outlook import outlook
 from uavbatt.packs.records import FlightEvidence, FlightRecord, PackRow
 
 OHM, RATED_AH, FIRST_UTC_S, DAY_S = 0.013, 5.0, 1.79e9, 86_400.0
+BATTERY = "bench"  # any name but that of the generic file
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _build(path: Path, packs: int, flights: int) -> None:
     every = ageing.history([_flight(number) for number in range(flights)])
     values = [{**rows.flight_row(after.flight), **rows.remembered_row(after)} for after in every]
-    seen = outlook(every[-1].known, RATED_AH, flights)
+    seen = outlook(every[-1].known, RATED_AH, flights, BATTERY)
     with Ledger(path) as ledger, ledger.writing() as connection:
         for number in range(packs):
             pack = PackRow(_name(number), 4, RATED_AH, OHM, every[-1].flight.start_utc_s, seen, ())
@@ -71,7 +72,7 @@ def _flight(number: int) -> FlightRecord:
     wiggle = 0.02 * float(np.sin(number))
     told = FlightEvidence(math.log(OHM) + wiggle, math.log(RATED_AH) - wiggle, 0.04**2, 0.04**2, 0.0)
     return FlightRecord(
-        key=f"{number:016x}", told=told, cells=4, rated_Ah=RATED_AH, type_ohm=OHM, battery="bench",
+        key=f"{number:016x}", told=told, cells=4, rated_Ah=RATED_AH, type_ohm=OHM, battery=BATTERY,
         battery_sha256="0" * 64, start_utc_s=FIRST_UTC_S + DAY_S * number, duration_s=900.0, source=f"{number:08d}.BIN",
         soc_start=1.0, soc_end=0.3, charge_Ah=3.5, energy_Wh=52.0, temp_mean_C=25.0, temp_max_C=31.0,
     )  # fmt: skip
