@@ -22,7 +22,7 @@ WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 # stated, of which 4 mV changed with the charge. A certified file may come from tests with an unmeasured load, as in the
 # study: its standard errors include that.
 ALONE_SHARE = {"fitted": 0.4}
-SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
+SERVICE_RESISTANCE_SD = 0.15  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # A file that was fitted to so many flights, of packs whose resistances differ so much, was fitted to packs in service:
 # their scatter is measured, and only half of the reaction remains beside it.
 FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
@@ -49,14 +49,14 @@ TESTED_MAKE = MakeSpread(
     capacity_short_sd=0.0,
     stated_share=1.0,
     # Beside the reaction, the error changes by 5 to 15 mV within some minutes as the cell warms and empties.
-    bias_sd_V=0.012,
+    bias_sd_V=0.010,
     bias_tau_s=2000.0,
     # Aged electrodes, or those of another batch, react more slowly. This lowers the voltage as soon as the load begins,
     # by the same amount at every charge and temperature: 0.05 V a cell at 0.6 of the exchange current, which a pack
     # that has lost a sixth of its charge may have. With a smaller sd the filter would explain this drop by resistance,
     # which grows in the cold and at the knee, and correct the charge for it.
-    reaction_sd_V=0.05,
-    drop_share=0.09,  # errors that all readings share are in the discrepancy
+    reaction_sd_V=0.04,
+    drop_share=0.075,  # errors that all readings share are in the discrepancy
     rested_share=(1.0, 0.5),  # a fit has seen packs at rest mostly when full
     evidence_share=1.0,
     empty_soc_sd=0.0,
