@@ -274,6 +274,22 @@ def test_the_load_that_never_comes_is_said_whenever_the_companion_was_started(st
     assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.announcements]
 
 
+@pytest.mark.parametrize(
+    ("armed", "airborne", "heard"), [(True, None, 1), (True, True, 1), (True, False, 0), (False, None, 0)]
+)
+def test_a_load_that_is_not_seen_any_more_is_a_loss_until_the_landing(
+    armed: bool, airborne: bool | None, heard: int
+) -> None:
+    """The capacity is stated anew in flight, and the current sensor dies before the estimate sees the load again."""
+    announcer, said = Announcer(0, ()), []
+    announcer.texts(0.0, report(400.0), True, airborne)
+    for k in range(1, 30):
+        said += announcer.texts(float(k), waiting(forecaster.NOT_FLYING, float(k)), armed, airborne)
+    assert [text for _, text in said] == ["Battery 0: time unknown, no load seen"] * heard
+    later = [announcer.texts(float(k), waiting(forecaster.NOT_FLYING, float(k)), True) for k in range(30, 50)]
+    assert armed or not any(later)  # armed before the next flight
+
+
 def test_every_flight_has_a_warning_of_its_own() -> None:
     one = ((10, False, forecaster.NOT_FLYING), (60, True, NO_CURRENT))
     assert [k for k, _ in flight(Announcer(0, ()), *one, *one)] == [30, 100]

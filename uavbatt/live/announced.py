@@ -3,7 +3,8 @@
 - Alarm: the time left at worst falls below a threshold. It comes once, and again only after the time has risen 20 %
   above the threshold.
 - Loss: the time left was known and is not known any more, with the reason. The same loss is announced once a minute at
-  most; that the number is back is not announced, and neither is the loss after landing.
+  most; that the number is back is not announced, and neither is the loss after landing. While the vehicle is armed and
+  does not say that it has landed, a load that is not seen any more is a loss, too.
 - No number at all: the vehicle is armed and no number has come for WITHOUT_AFTER_S. It comes once a flight. Waiting for
   the load before take-off does not count, unless the autopilot says that the vehicle is in the air.
 - Warning: a warning of the estimate that is listed in WARNINGS. It comes once, and again only after it has been gone
@@ -133,22 +134,26 @@ class Announcer:
         now_s: float,
         report: Report,
         is_armed: bool | None = None,
-        is_airborne: bool = False,
+        is_airborne: bool | None = None,
         speaks_first: bool = True,
     ) -> list[tuple[int, str]]:
         """Return (severity, text) of all announcements that are due; `now_s` is on the monotonic clock [s].
 
-        is_airborne : the autopilot says that the vehicle is in the air, by other signs than the battery
+        is_airborne : the autopilot says that the vehicle is in the air, or on the ground, by other signs than the
+        battery; None if it does not say
         speaks_first : this battery speaks for the vehicle (`headline`); of several batteries only this one gives alarms
         """
         shown = report.at(now_s)
         said = self._alarm(now_s, shown) if speaks_first else []
         if is_armed is False:  # the next flight has a warning of its own
             self._is_without_said, self._lost_s = False, self._lost_s if self._was_known else math.nan
+        has_flown = self._was_known and is_armed is True and is_airborne is not False
         if math.isfinite(shown.remaining_s):
             self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
-        elif shown.status is not Status.STALE and _waits_for_load(report, is_airborne and not self._was_known):
-            self._lost_s = math.nan
+        elif shown.status is not Status.STALE and _waits_for_load(
+            report, has_flown or (is_airborne is True and not self._was_known)
+        ):
+            self._lost_s, self._was_known = math.nan, self._was_known and is_armed is not False
         else:
             said += self._loss(now_s, shown, is_armed)
         if shown.status is not Status.STALE:
@@ -229,13 +234,13 @@ class Announcer:
         return now_s - self._spoke_s.get(subject, -math.inf) >= pause_s
 
 
-def _waits_for_load(report: Report, is_airborne: bool) -> bool:
+def _waits_for_load(report: Report, is_in_the_air: bool) -> bool:
     """Return True while there is no number because no load has come yet; in the air a missing load is a loss.
 
     A battery without load beside another that has it also waits: it has a warning of its own.
     """
     kind = kind_of(report.remaining.reason)
-    return kind in (Kind.JUST_TAKEN_OFF, Kind.GIVES_NOTHING) or (kind is Kind.NOT_FLYING and not is_airborne)
+    return kind in (Kind.JUST_TAKEN_OFF, Kind.GIVES_NOTHING) or (kind is Kind.NOT_FLYING and not is_in_the_air)
 
 
 def _short(reason: str) -> str:

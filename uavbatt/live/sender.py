@@ -126,7 +126,7 @@ class Sender:
         if now_s < self._look_s:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S
-        is_airborne = navigation.is_aloft(vehicle.now_s) is True
+        is_airborne = navigation.is_aloft(vehicle.now_s)
         made: list[tuple[int, str]] = []
         again: list[tuple[int, str]] = []
         for report in reports:

@@ -8,6 +8,7 @@ load is assumed to have continued. A state that cannot be resumed is not used, a
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,11 +21,12 @@ from uavbatt.estimator import Estimator
 from uavbatt.limits import FirstVoltages
 from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
+from uavbatt.live.voltage_watch import VoltageWatch
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.pending import refused
+from uavbatt.prediction.pending import ENDS_SOON, refused
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
@@ -51,6 +53,7 @@ class TrackedBattery:
         self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
+        self._watch: VoltageWatch | None = None  # while nobody states the capacity
         self._endurance, self._endurance_s = UNKNOWN, math.nan
         self.resumed = ""  # whether the saved state was resumed, in words; empty if there is none
 
@@ -105,9 +108,21 @@ class TrackedBattery:
             self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
-            return refused(sample, _notice_of(error))
+            estimate, remaining = refused(sample, _notice_of(error))
+            if isinstance(error, CapacityNotStated):
+                estimate = replace(estimate, warnings=self._by_voltage(sample, facts))
+            return estimate, remaining
         self._has_flown = self._has_flown or math.isfinite(self.estimator.flying_since_s)
         return found
+
+    def _by_voltage(self, sample: Sample, facts: PackFacts) -> tuple[str, ...]:
+        """Return the warning that the voltage alone gives after a row of a pack whose capacity nobody states."""
+        try:
+            self._watch = self._watch or VoltageWatch(self._battery, self._options)
+            return (ENDS_SOON,) if self._watch.step(sample, facts) else ()
+        except Exception:  # as in `step`: nothing may end the process
+            self._watch = None
+            return ()
 
     def endurance(self, time_s: float) -> EnduranceNow:
         """Return the flight time if it took off now, unknown if it cannot be worked out; updated every 10 s."""

@@ -56,12 +56,17 @@ class Pending(NamedTuple):
         added: list[str] = [FALLS_FASTER] if remaining.reason == FALLS_FASTER else []
         if remaining.remaining_alarm_s <= ALARM_S:
             added.append(ALARM)
-        is_unsaid = not math.isfinite(remaining.remaining_s) and sample.armed is not False  # in flight
-        if is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S:
+        if not math.isfinite(remaining.remaining_s) and ends_soon(sample, self.voltage_left_s):
             added.append(ENDS_SOON)
         if remaining.route is not None:
             added += _of_route(remaining.route)
         return replace(found, warnings=(*found.warnings, *added)) if added else found, remaining
+
+
+def ends_soon(sample: Sample, voltage_left_s: float) -> bool:
+    """Return True if the voltage of a row in flight reaches the cut-off, in `voltage_left_s` [s], so soon that the crew
+    must hear of it."""
+    return sample.armed is not False and ALARM_SHARE * voltage_left_s <= ALARM_S
 
 
 def _of_route(route: Route) -> tuple[Notice, ...]:

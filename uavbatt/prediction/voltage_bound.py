@@ -130,6 +130,7 @@ class Fall(NamedTuple):
         judged = bins[-JUDGED_BINS:]
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
+        bins = tuple(row for row in bins if row.current_A >= min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A))
         slope_left_s = _by_mean_slope_s(bins, cutoff_V) if len(bins) >= FEWEST_BINS else math.inf
         if slope_left_s > LEVEL * SIGHT_S:
             return math.inf
@@ -141,13 +142,12 @@ class Fall(NamedTuple):
         return NAN if slope_left_s <= SIGHT_S else math.inf
 
     def _of_one_kind(self) -> tuple[FallBin, ...]:
-        """Return the bins under a load like that of the last one, if it has a current; else all bins, without currents.
+        """Return the bins with a current, if the last one has it; else all bins, without currents.
 
         With a current of 0 in every bin the fit has neither sag nor lag.
         """
-        last = self.bins[-1]
-        if last.is_metered:
-            return tuple(row for row in self.bins if row.current_A >= min(IDLE_SHARE * last.current_A, last.current_A))
+        if self.bins[-1].is_metered:
+            return tuple(row for row in self.bins if row.is_metered)
         return tuple(row._replace(current_A=0.0, lagging=LaggingCurrents(NAN, 0.0, 0.0)) for row in self.bins)
 
 
