@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
-from uavbatt.battery.powers import beyond_learned, power, terms
+from uavbatt.battery.powers import UNKNOWN, Powers, beyond_learned, power, terms
 from uavbatt.navigation import Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_ahead import Ahead, ahead
@@ -87,12 +87,12 @@ def test_the_clock_of_an_item_begins_anew_with_another_mission() -> None:
     assert rest.touchdown_s < 600.0
 
 
-def taught(speed_ms: float, ratio: float) -> FlightLessons:
+def taught(speed_ms: float, ratio: float, powers: Powers = POWERS) -> FlightLessons:
     """The lessons of 200 s at an airspeed at which the aircraft asks `ratio` times the power of its law."""
-    asked_W = ratio * float(power(POWERS, terms(speed_ms, 0.0, 0.0, 0.0, POWERS.induced_ms)))
+    asked_W = ratio * float(power(powers, terms(speed_ms, 0.0, 0.0, 0.0, powers.induced_ms)))
     progress = Progress()
     for k in range(200):
-        progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms), asked_W, POWERS)
+        progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms), asked_W, powers)
     return progress.lessons
 
 
@@ -105,6 +105,11 @@ def test_an_airspeed_beyond_the_learned_ones_teaches_the_power_there_and_not_the
     assert fast.level(POWERS)[0] == 1.0
     at_20_ms = float(beyond_learned(POWERS, np.array(20.0)))
     assert math.exp(fast.excess_beyond(POWERS) * at_20_ms) == pytest.approx(1.3, abs=0.04)
+
+
+def test_an_unknown_aircraft_that_flies_fast_at_once_has_a_level() -> None:
+    level, _ = taught(20.0, 150.0, UNKNOWN).level(UNKNOWN)  # its hover power is 1 W
+    assert 100.0 < level < 200.0
 
 
 def test_a_little_beyond_the_learned_airspeeds_the_wind_explains_the_power_as_well() -> None:

@@ -165,14 +165,12 @@ class FlightLessons(NamedTuple):
         """Return the lessons after `told_s` [s] in which the aircraft flew at an airspeed [m/s] with a power [W].
 
         columns : the terms of the power (`powers.terms`). Beyond the learned airspeeds the law is extrapolated, so that
-        its error there must not count as a payload: it is learned by itself.
+        its error there must not count as a payload: it is learned by itself. Where nothing is known of the level yet,
+        it is better than nothing.
         """
-        beyond = float(beyond_learned(powers, np.asarray(airspeed_ms)))
-        if not beyond > 0.0:
+        beyond, (level, _) = float(beyond_learned(powers, np.asarray(airspeed_ms))), self.level(powers)
+        if not beyond > 0.0 or not math.isfinite(level):
             return self.with_power_ratio(level_of(powers, columns, power_W), told_s)
-        level, _ = self.level(powers)
-        if not math.isfinite(level):
-            return self
         kept = math.exp(-told_s / LEVEL_TAU_S)
         excess = math.log(power_W / float(power(powers, columns, level)))
         return self._replace(
