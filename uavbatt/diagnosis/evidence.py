@@ -227,13 +227,13 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array], full_soc: float) -> tupl
     """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
     A pack that rests near full counts as full: it has the charge `full_soc` of the battery file's full packs. If it
-    rests lower, the voltage shows its charge. Under load the start is a guess.
+    rests lower, the voltage shows its charge. Under load the start is a guess, and no fuller than those packs.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_OHMAH)
     guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), LEAST_START, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
-    centre = np.where(full, full_soc, guess)
+    centre = np.where(full, full_soc, np.minimum(guess, full_soc))
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
