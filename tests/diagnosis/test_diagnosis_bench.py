@@ -11,7 +11,7 @@ from planted_flights import CAPACITY_AH, CELLS, FILE, PACK, fly
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.meter_noise import resting_noise_V
+from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V
 from uavbatt.fitting import observed, solve, wander
 from uavbatt.fitting.observed import ObservedRecord
 
@@ -56,6 +56,27 @@ def test_the_noise_at_rest_is_no_evidence(slow: list[ObservedRecord]) -> None:
     assert 0.5 < np.mean(squares) < 1.5
 
 
+def held_bench(apart_s: float) -> ObservedRecord:
+    """Twenty minutes of a held load, every row a single reading of a noisy voltmeter and a noisy thermometer."""
+    time_s, noise = np.arange(0.0, 1200.0, apart_s), np.random.default_rng(5)
+    volts = 16.0 - 0.001 * time_s - 0.3 * (time_s % 240.0 < 120.0)
+    seen = (volts + NOISE_V * noise.standard_normal(time_s.size), 25.0 + 0.003 * time_s)
+    current_A = np.where(time_s % 240.0 < 120.0, 20.0, 12.0)
+    felt = seen[1] + 0.1 * noise.standard_normal(time_s.size)
+    return ObservedRecord("bench", time_s, seen[0], current_A, felt, 25.0, CELLS, CAPACITY_AH)
+
+
+@pytest.mark.parametrize("apart_s", [5.0, 10.0])
+def test_slow_rows_of_a_held_load_carry_the_whole_noise_of_a_reading(apart_s: float) -> None:
+    """The noise that a file states is of means over 5 s: single readings of a sound bench looked like an effect."""
+    assert noise_V(held_bench(apart_s), ohm=0.0375) == pytest.approx(NOISE_V, rel=0.3)
+    assert noise_K(held_bench(apart_s)) == pytest.approx(0.1, rel=0.3)
+
+
+def test_rows_of_a_changing_load_show_no_noise(slow: list[ObservedRecord]) -> None:
+    assert [noise_V(record, ohm=0.04) for record in slow] == [0.0] * len(slow)
+
+
 def test_rows_ten_seconds_apart_show_no_delay_of_the_current(slow: list[ObservedRecord]) -> None:
     names = {c.name for c in options_of(problem_of(slow, FILE, PACK), FILE, ())}
     assert "current_delay" not in names and "current_offset" in names
@@ -71,6 +92,13 @@ def with_start(soc: float | None) -> BatteryFile:
 def test_full_packs_begin_as_the_full_packs_of_the_file_did(slow: list[ObservedRecord]) -> None:
     assert problem_of(slow, with_start(0.97), PACK).evidence.start_soc == pytest.approx(0.97)
     assert problem_of(slow, with_start(None), PACK).evidence.start_soc == pytest.approx(1.0)
+
+
+def test_a_test_that_begins_under_load_begins_no_fuller_than_the_full_packs_of_the_file(
+    slow: list[ObservedRecord],
+) -> None:
+    loaded = [replace(r, current_A=np.maximum(r.current_A, 10.0)) for r in slow]
+    assert np.max(problem_of(loaded, with_start(0.97), PACK).evidence.start_soc) == pytest.approx(0.97)
 
 
 @pytest.mark.parametrize(("started", "told"), [(0.96, 0.96), (0.995, None), (0.6, None)])

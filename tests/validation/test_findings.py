@@ -126,3 +126,60 @@ def test_other_data_sets_do_not_crash_and_sound_ones_are_not_accused(study, samp
 
 def test_a_temperature_without_runs_has_only_the_findings_of_the_series(study):
     assert {f.kind for f in findings(study, 60.0)} == {"likely_misprint", "series_break"}
+
+
+def three_samples(study, change, runs=7):
+    """Three sound samples of so many runs, 10 s apart and at rest in the first row; `change(sample, run)` is added."""
+    rng, time = np.random.default_rng(4), 10.0 * np.arange(61)
+    current = np.where(time > 0.0, 15.0, 0.0)
+    made = [
+        dataset.Run(
+            name, r, 25.0, time, 16 - 0.004 * time + rng.normal(0, 0.01, 61) + change(name, r, current),
+            current, np.full(61, np.nan),
+        )
+        for name in "ABC"
+        for r in range(1, runs + 1)
+    ]  # fmt: skip
+    return findings(replace(study, name="other", cells_series=4, cutoff_V=12.4, runs=tuple(made), flags=()))
+
+
+def of_kind(found, kind):
+    return [f for f in found if f.kind == kind]
+
+
+def test_a_sample_with_a_bad_contact_is_named(study):
+    """Grubbs' test of three means saw nothing in a sample that read 0.2 V less in all of its runs."""
+    (finding,) = of_kind(three_samples(study, lambda s, r, amps: -0.013 * amps * (s == "B")), "sample_apart")
+    assert "sample B" in finding.title and "lower" in finding.title and finding.severity == "warning"
+    assert finding.numbers["off"] == pytest.approx(-0.195, abs=0.02)
+    assert "contacts" in finding.detail and "voltmeters" not in finding.detail
+
+
+def test_a_sample_under_another_voltmeter_is_told_to_differ_before_the_load(study):
+    (finding,) = of_kind(three_samples(study, lambda s, r, amps: 0.2 * (s == "C")), "sample_apart")
+    assert "sample C" in finding.title and "higher" in finding.title and "voltmeters" in finding.detail
+
+
+def test_samples_that_differ_as_little_as_their_runs_are_not_apart(study):
+    assert not of_kind(three_samples(study, lambda s, r, amps: 0.015 * (s == "B")), "sample_apart")
+
+
+def test_a_run_that_is_an_outlier_all_along_is_one_finding(study):
+    outliers = of_kind(three_samples(study, lambda s, r, amps: -0.3 * (s == "B" and r == 5)), "outlier")
+    (whole,) = [f for f in outliers if f.numbers["instants"] > 3]
+    assert whole.title == "Run 5 of sample B is an outlier at 0 to 10 min (voltage)" and whole.severity == "warning"
+
+
+def test_ageing_is_no_step(study):
+    (finding,) = of_kind(three_samples(study, lambda s, r, amps: -0.03 * (r - 1) * (amps > 0)), "drift")
+    assert "goes down from the first run to the last" in finding.title and "after_run" not in finding.numbers
+    assert finding.numbers["step"] == pytest.approx(-0.18, abs=0.02) and finding.severity == "serious"
+
+
+def test_samples_that_share_a_part_of_their_scatter_still_add_information(study):
+    day_V = np.random.default_rng(9).normal(0, 0.008, 11)
+    (finding,) = of_kind(
+        three_samples(study, lambda s, r, amps: day_V[r] * (s in "AB" and amps > 0), runs=10), "dependent_samples"
+    )
+    assert 0.2 < finding.numbers["correlation"] < 0.8
+    assert finding.severity == "warning" and "share a part of their scatter" in finding.title

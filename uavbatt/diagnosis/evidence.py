@@ -27,7 +27,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
-from uavbatt.diagnosis.meter_noise import noise_V, resting_noise_V, spacing_s
+from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V, spacing_s
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -182,7 +182,7 @@ def prepare(
             _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
-        temps=tuple(_temperature_whitener(stack, j, spread) for j in range(len(records))),
+        temps=tuple(_temperature_whitener(stack, j, spread, noise_K(r)) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
@@ -227,13 +227,13 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array], full_soc: float) -> tupl
     """Return the start of charge, its sd, and True for a rested record that was clearly not full.
 
     A pack that rests near full counts as full: it has the charge `full_soc` of the battery file's full packs. If it
-    rests lower, the voltage shows its charge. Under load the start is a guess.
+    rests lower, the voltage shows its charge. Under load the start is a guess, and no fuller than those packs.
     """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_OHMAH)
     guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), LEAST_START, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
-    centre = np.where(full, full_soc, guess)
+    centre = np.where(full, full_soc, np.minimum(guess, full_soc))
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
@@ -281,14 +281,14 @@ def _cold(spread: Wander, start_C: float) -> float:
     return float(2.0 ** (max(spread.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
 
 
-def _temperature_whitener(stack: Stack, j: int, spread: Wander) -> Whitener | None:
+def _temperature_whitener(stack: Stack, j: int, spread: Wander, seen_noise_K: float) -> Whitener | None:
     rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
     if rows.size < LEAST_TEMPERATURES:
         return None
     time_s = stack.time_s[rows, j]
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.temperature_time_s)
     nowhere = np.zeros(rows.size, dtype=bool)
-    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, spread.temperature_noise_K)
+    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, max(spread.temperature_noise_K, seen_noise_K))
 
 
 def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: Array | float) -> Whitener:

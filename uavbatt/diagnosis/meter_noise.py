@@ -10,20 +10,42 @@ from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord
 
 FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
+SLOWEST_S = 60.0  # slower rows mix the bend of a discharge with the noise
+HELD_SHARE = 0.02  # of the upper current (90 % point), by which most rows of a held load differ at most
+LEAST_BENDS = 10  # fewer show no scatter
 BENT_BY_ONE = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
 
 
 def noise_V(record: ObservedRecord, ohm: float) -> float:
-    """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
+    """Return the noise [V] of both sensors in the compared rows; 0 if rows are too slow to tell it from load.
 
     It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
-    and noise of one sensor alone is left, which the model cannot follow.
+    and noise of one sensor alone is left, which the model cannot follow. Under a held load slow rows show the noise,
+    too, and no mean over BIN_S makes it smaller.
     """
     apart_s = spacing_s(record)
-    if apart_s > FAST_ROW_S:
+    if apart_s > (SLOWEST_S if _holds_load(record) else FAST_ROW_S):
         return 0.0
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(BENT_BY_ONE * observed.BIN_S / apart_s))
+    return float(observed.MAD_TO_SD * bent_V / np.sqrt(BENT_BY_ONE * max(observed.BIN_S / apart_s, 1.0)))
+
+
+def noise_K(record: ObservedRecord) -> float:
+    """Return the noise [K] of the compared temperatures from their second differences; 0 for rows that are too slow.
+
+    The noise that a file states is of means over BIN_S: a single reading has more.
+    """
+    shown = observed.binned(record)
+    bent_K = np.diff(shown.temp_C[np.isfinite(shown.temp_C)], 2)
+    if spacing_s(record) > SLOWEST_S or bent_K.size < LEAST_BENDS:
+        return 0.0
+    return float(observed.MAD_TO_SD * np.median(np.abs(bent_K)) / np.sqrt(BENT_BY_ONE))
+
+
+def _holds_load(record: ObservedRecord) -> bool:
+    """Return True for a record, such as a bench test, whose current is nearly the same from row to row."""
+    amps = np.abs(record.current_A)
+    return bool(np.median(np.abs(np.diff(amps))) < HELD_SHARE * np.percentile(amps, 90))
 
 
 def resting_noise_V(records: list[ObservedRecord]) -> float:

@@ -12,6 +12,9 @@ from uavbatt.dataset import Levels
 from uavbatt.validation.iso5725 import outliers
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 
+# Grubbs' test of three means sees a far one only if the other two are equal. A mean as far off as this is told, too:
+# in s_r of single results, and in ranges of the other means, at more than half of the instants. Sound sets: 1.5 s_r.
+FAR_SDS, FAR_RANGES = 4.0, 2.0
 OUTLIER = 0.01  # the level at which ISO 5725-2 calls a sample an outlier, for one instant
 
 Inconsistent = Literal["scatter", "mean"]
@@ -121,3 +124,34 @@ def _mean(cells: list[Array], instants: int) -> _Found | None:
     strict = outliers.grubbs_critical(means.size, OUTLIER / instants)
     others = float(np.mean(np.delete(means, index)))
     return _Found(measured[index], float(means[index]), others, statistic, test.critical_1, strict)
+
+
+class Apart(NamedTuple):
+    """Apart says that the mean of a sample differs from the others' by much more than its runs scatter.
+
+    `off` [instants] is the mean of the sample less that of the other samples, `s_r` [instants] the pooled SD of
+    repeated results, both in the unit of the results.
+    """
+
+    sample: str
+    off: Array
+    s_r: Array
+
+
+def sample_apart(levels: Levels) -> Apart | None:
+    """Return the one sample of three or more that is far from all others at most instants; None if there is none."""
+    if len(levels.samples) < LEAST_SAMPLES:
+        return None
+    by_sample = np.moveaxis(levels.values, 1, 0)  # [sample, occasion, instant]
+    count = np.sum(~np.isnan(by_sample), axis=1)
+    if np.any(count < 1) or np.any(np.sum(count - 1, axis=0) < 1):
+        return None
+    means = np.nanmean(by_sample, axis=1)
+    s_r = np.sqrt(np.nansum((by_sample - means[:, None]) ** 2, axis=(0, 1)) / np.sum(count - 1, axis=0))
+    for j, sample in enumerate(levels.samples):
+        others = np.delete(means, j, axis=0)
+        off = means[j] - others.mean(axis=0)
+        far = (np.abs(off) > FAR_SDS * s_r) & (np.abs(off) > FAR_RANGES * np.ptp(others, axis=0))
+        if np.mean(far) > 0.5:
+            return Apart(sample, off, s_r)
+    return None

@@ -197,6 +197,28 @@ def step_share(tables: Array) -> Array:
     return mean
 
 
+def line_change(table: Array) -> Array:
+    """Compute the change of a straight line from the first run to the last, [time]; `table[run, time]`."""
+    runs = np.arange(len(table)) - (len(table) - 1) / 2
+    change: Array = (len(table) - 1) * (runs @ (table - table.mean(axis=0))) / (runs @ runs)
+    return change
+
+
+def trend_share(table: Array) -> float:
+    """Compute the share of a column's sum of squares that a straight line over the runs explains: the mean share.
+
+    `table[run, time]`; columns that do not vary are left out, and a table without any has 0.
+    """
+    centred = table - table.mean(axis=0)
+    runs = np.arange(len(table)) - (len(table) - 1) / 2
+    whole = (centred**2).sum(axis=0)
+    varies = whole > 0
+    if not varies.any():
+        return 0.0
+    explained = (runs @ centred) ** 2 / (runs @ runs)
+    return float(np.mean(explained[varies] / whole[varies]))
+
+
 def curve_step(table: Array) -> StepTest:
     """Find the most likely step of whole curves, `table[run, time]`; every column counts alike.
 

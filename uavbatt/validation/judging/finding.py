@@ -21,6 +21,20 @@ class Finding:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
 
+LONG_SPAN = 6  # instants in a row: from so many on, only the first and the last are named
+
+
 def minutes(times_s: Iterable[float]) -> str:
-    """Return times [s] as a list in minutes."""
-    return ", ".join(f"{t / 60:g}" for t in times_s) + " min"
+    """Return times [s] as a list in minutes, many whole minutes in a row as `2 to 9`."""
+    spans: list[list[float]] = []
+    for minute in (t / 60 for t in times_s):
+        if spans and minute == spans[-1][-1] + 1:
+            spans[-1].append(minute)
+        else:
+            spans.append([minute])
+    return ", ".join(_span(span) for span in spans) + " min"
+
+
+def _span(span: list[float]) -> str:
+    ends = len(span) >= LONG_SPAN
+    return f"{span[0]:g} to {span[-1]:g}" if ends else ", ".join(f"{minute:g}" for minute in span)

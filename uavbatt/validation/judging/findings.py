@@ -15,13 +15,16 @@ from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
 from uavbatt.validation.judging.corridor import Corridor, leave_one_out, occasion_means, shared_table
-from uavbatt.validation.judging.drift import abbe, curve_step
+from uavbatt.validation.judging.drift import abbe, curve_step, line_change, trend_share
 from uavbatt.validation.judging.finding import NAMES, UNITS, Finding, minutes
-from uavbatt.validation.judging.independence import bimodality, independence, resolution
-from uavbatt.validation.judging.outlying import inconsistent_samples, likely_misprints, outlying_runs
+from uavbatt.validation.judging.independence import DEPENDENT_BELOW, bimodality, independence, resolution
+from uavbatt.validation.judging.outlying import inconsistent_samples, likely_misprints, outlying_runs, samples_apart
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
 from uavbatt.validation.study import paper
 
+# Correlation of two samples: above it the second leaves a third of the variance at most.
+ALMOST_ONE = 0.8
+DRIFT, SERIOUS_DRIFT = 0.05, 0.01  # levels of ISO 5725-2 for a straggler and an outlier
 HELD_WELL = 0.9  # share of whole curves: a corridor that holds so many needs no remark
 
 
@@ -38,6 +41,7 @@ def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tup
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
             all_findings += [*_drift(levels), *inconsistent_samples(levels), *outlying_runs(levels)]
+            all_findings += samples_apart(readings, levels)
             all_findings += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
     all_findings += [*likely_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
@@ -50,7 +54,8 @@ def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
     if table.shape[1] < 2 or len(table) < 3:
         return
     step = dataset.uncertainty.voltage_resolution_V or 0.0
-    for i, j in combinations(range(table.shape[1]), 2):
+    pairs = list(combinations(range(table.shape[1]), 2))
+    for i, j in pairs:
         test = independence(table[:, i], table[:, j], resolution=step)
         names = f"samples {shared.samples[i]} and {shared.samples[j]}"
         numbers = {"identical": test.identical, "compared": test.compared, "p_value": test.p_identical,
@@ -61,9 +66,11 @@ def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
             f"{test.p_identical:.1g}). The deviations from the mean curve are correlated, r = "
             f"{test.correlation:.2f} (p = {test.p_correlation:.1g})."
         )
-        if test.dependent:
-            title = f"The {names} are not independent: the second adds almost no information"
-            yield Finding("dependent_samples", title, detail, "serious", numbers)
+        together = test.correlation >= ALMOST_ONE
+        if test.dependent and min(test.p_identical, test.p_correlation) < DEPENDENT_BELOW / len(pairs):
+            means = "the second adds almost no information" if together else "they share a part of their scatter"
+            title = f"The {names} are not independent: {means}"
+            yield Finding("dependent_samples", title, detail, "serious" if together else "warning", numbers)
         elif test.dependent is None:
             title = f"Too few runs to tell whether the {names} are independent"
             yield Finding("independence_unknown", title, detail, "note", numbers)
@@ -166,27 +173,35 @@ def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
 
 
 def _drift(levels: Levels) -> Iterator[Finding]:
-    """Test the occasions for drift by Abbe, Holm over the instants, and find the step over those that drift."""
+    """Test the occasions for drift by Abbe, Holm over the instants, and describe it over those that drift."""
     occasions, means = occasion_means(levels)
     if len(means) < 6:
         return
     p = np.array([abbe(c).p_value for c in means.T])
-    drifting = np.flatnonzero(p < 0.05)
-    if not len(drifting) or np.nanmin(p) * np.sum(~np.isnan(p)) > 0.05:
+    drifting, least = np.flatnonzero(p < DRIFT), np.nanmin(p) * np.sum(~np.isnan(p))
+    if not len(drifting) or least > DRIFT:
         return
-    step, unit = curve_step(means[:, drifting]), UNITS[levels.quantity]
-    last = occasions[step.after - 1]
-    sizes = means[step.after :, drifting].mean(axis=0) - means[: step.after, drifting].mean(axis=0)
+    step, unit, at = curve_step(means[:, drifting]), UNITS[levels.quantity], levels.time_s[drifting]
+    is_steady = trend_share(means[:, drifting]) > step.statistic
+    steps = means[step.after :].mean(axis=0) - means[: step.after].mean(axis=0)
+    sizes = (line_change(means) if is_steady else steps)[drifting]
     most = int(np.argmax(np.abs(sizes)))
-    way, at = "down" if sizes[most] < 0 else "up", levels.time_s[drifting]
-    title = f"The {NAMES[levels.quantity]} drifts from run to run: it steps {way} after run {last}"
+    way, last = "down" if sizes[most] < 0 else "up", occasions[step.after - 1]
+    size = f"{sizes[most]:+.3f} {unit} at {at[most] / 60:g} min"
+    how = f"it goes {way} from the first run to the last" if is_steady else f"it steps {way} after run {last}"
+    found = (
+        f"From the first run to the last it changes by {size}; a straight line explains more than a step at any place."
+        if is_steady
+        else f"The largest step is {size}; p = {step.p_value:.2g} for a step at any place."
+    )
     detail = (
-        f"Abbe's test finds drift at {minutes(at)} (smallest p = {np.nanmin(p):.1g}). The largest step is "
-        f"{sizes[most]:+.3f} {unit} at {at[most] / 60:g} min; p = {step.p_value:.2g} for a step at any place. "
+        f"Abbe's test finds drift at {minutes(at)} (smallest p = {np.nanmin(p):.1g}). {found} "
         f"The repeats are not one population, and the first-to-last rule does not see it."
     )
-    numbers = {"after_run": last, "instants": len(drifting), "step": float(sizes[most]), "p_value": step.p_value}
-    yield Finding("drift", title, detail, "serious", numbers)
+    numbers = {"instants": len(drifting), "step": float(sizes[most]), "p_value": step.p_value}
+    numbers |= {} if is_steady else {"after_run": last}
+    title = f"The {NAMES[levels.quantity]} drifts from run to run: {how}"
+    yield Finding("drift", title, detail, "serious" if least <= SERIOUS_DRIFT else "warning", numbers)
 
 
 def _step(dataset: DataSet, quantity: str) -> float | None:
