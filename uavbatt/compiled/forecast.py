@@ -25,8 +25,8 @@ from uavbatt.prediction.sampling import Normals
 from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
 
 
-class Fall(NamedTuple):
-    """Fall follows one margin over the steps of a draw.
+class MarginFall(NamedTuple):
+    """MarginFall follows one margin over the steps of a draw.
 
     at_s : when it has fallen below zero [s], inf before; last : its value at the last step; below : bits of its last
     three rows, set where it was below zero.
@@ -69,7 +69,7 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
     cells, size = installation.cells, installation.cells * installation.present_capacity_Ah
     lags, lags_s = model.lags(cell, dt_s[0]), dt_s[0]
     bias_V, before, at_s = flying.x[X.BIAS, j], 0.0, 0.0
-    end, low = Fall(np.inf, 0.0, 0), Fall(np.inf, 0.0, 0)
+    end, low = MarginFall(np.inf, 0.0, 0), MarginFall(np.inf, 0.0, 0)
     for k in range(dt_s.size):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
@@ -100,7 +100,7 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
 
 
 @compiled
-def fallen(by_rows: bool, k: int, before: Fall, margin: float, earlier_s: float, at_s: float) -> Fall:
+def fallen(by_rows: bool, k: int, before: MarginFall, margin: float, earlier_s: float, at_s: float) -> MarginFall:
     """Return the fall of a margin after step `k`, from that `before` it.
 
     margin : its value at this step; earlier_s, at_s : when the step before and this one begin [s]. By rows the centred
@@ -108,11 +108,11 @@ def fallen(by_rows: bool, k: int, before: Fall, margin: float, earlier_s: float,
     """
     below = (2 * before.below + (margin < 0.0)) % 8
     if before.at_s < np.inf:
-        return Fall(before.at_s, margin, below)
+        return MarginFall(before.at_s, margin, below)
     if by_rows:
         is_new = k > 1 and below in (3, 5, 6, 7)  # two of the three are below zero
-        return Fall(earlier_s if is_new else np.inf, margin, below)
-    return Fall(crossing(k, before.last, margin, earlier_s, at_s) if margin < 0.0 else np.inf, margin, below)
+        return MarginFall(earlier_s if is_new else np.inf, margin, below)
+    return MarginFall(crossing(k, before.last, margin, earlier_s, at_s) if margin < 0.0 else np.inf, margin, below)
 
 
 @compiled

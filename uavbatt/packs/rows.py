@@ -87,10 +87,8 @@ def pack_of(row: sqlite3.Row) -> PackRow:
     with reading(row):
         outlook = {name: row[name] for name in OUTLOOK}
         outlook |= {name: math.inf for name in RETIRE if row[name] is None}
-        size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]))
-        return PackRow(
-            row["name"], *size, known_or_nan(row["last_utc_s"]), Outlook(**outlook), findings_of(row["findings"])
-        )
+        size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]), known_or_nan(row["last_utc_s"]))
+        return PackRow(row["name"], *size, Outlook(**outlook), findings_of(row["findings"]))
 
 
 def findings_text(findings: tuple[PackFinding, ...]) -> str:
