@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _build(path: Path, packs: int, flights: int) -> None:
     every = ageing.history([_flight(number) for number in range(flights)])
     values = [{**rows.flight_row(after.flight), **rows.remembered_row(after)} for after in every]
-    seen = outlook(every[-1].known, RATED_AH, flights)
+    seen = outlook(every[-1].known, RATED_AH, flights, "a-make")
     with Ledger(path) as ledger, ledger.writing() as connection:
         for number in range(packs):
             pack = PackRow(_name(number), 4, RATED_AH, OHM, every[-1].flight.start_utc_s, seen, ())
