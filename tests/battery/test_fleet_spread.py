@@ -7,10 +7,10 @@ import pytest
 
 from uavbatt.battery.battery_file import BatteryFile, Certificate
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.spreads import SERVICE_RESISTANCE_SD
 from uavbatt.fitting.generic import generic_lipo
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 6, 5.7, 21.6, 21.6
-SERVICE_SD = 0.2  # of packs in service, where nothing else is known
 
 
 def pack(flights: int | None, scatter: float, status: str = "fitted") -> Pack:
@@ -38,5 +38,5 @@ def test_the_scatter_of_a_fleet_is_taken_as_it_was_measured() -> None:
 )
 def test_elsewhere_packs_in_service_scatter_beside_it(flights: int | None, scatter: float, status: str) -> None:
     found = pack(flights, scatter, status)
-    assert found.resistance_scale_sd > max(SERVICE_SD, scatter)
+    assert found.resistance_scale_sd > max(SERVICE_RESISTANCE_SD, scatter)
     assert found.reaction_sd_V == pack(None, 0.06).reaction_sd_V
