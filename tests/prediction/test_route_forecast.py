@@ -123,7 +123,7 @@ def test_a_way_home_that_empties_the_pack_is_no_way_home_however_low_the_cut_off
             estimate = estimator.step(sample)
             refusal, question = forecaster.update(sample, estimate, estimator.belief, heard)
             answered = None if question is None else (question, end_times(question.flying))
-            said = forecaster.finish(sample, estimate, refusal, answered)
+            said = forecaster.finish(estimate, refusal, answered)
         assert said.route is not None
         return said.route.turn_back_s
 
