@@ -173,3 +173,14 @@ def test_the_ledger_tells_which_flights_are_of_the_pack_and_their_order(logs: li
             ledger.save("A1", record)
     ordered = _in_order(flights, packs, "A1")
     assert [f.source for f in ordered] == [f.source for f in reversed(flights)]
+
+
+def test_a_gain_with_a_drift_of_nothing_is_no_finding(tmp_path: Path) -> None:
+    """The drift was worth what the gain without it was worth: a weak cell was told as a gain that changes by 0."""
+    for name, power_W, seed in (("a.BIN", "250", "5"), ("b.BIN", "270", "6")):
+        flown = ("--power-w", power_W, "--seed", seed, "--effect", "weak_cell=0.1")
+        assert called("simulate", "-o", name, *flown, folder=tmp_path).returncode == 0
+    pack = ("--cells", "4", "--capacity-ah", "5", "--battery", "lipo-generic")
+    said = called("diagnose", "a.BIN", "b.BIN", *pack, folder=tmp_path).stdout
+    assert said.startswith("no_missing_effect") and "weak_cell (probability" in said
+    assert "not the same throughout" not in said

@@ -88,8 +88,7 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
     both = []
     for alternative in (pair.fit.with_effects_swapped, pair.fit):
         alone = next(f for f in singles.fits if f.candidate.name == alternative.candidate.names[0])
-        alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # so that it converges
-        beside = trial(problem, alone, options, FURTHER_TURNS, alternative)
+        beside = trial(problem, _settled(problem, alone), options, FURTHER_TURNS, alternative)
         if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
             return []
         pair_finding = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
@@ -98,6 +97,11 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
     if any(f.worth.value < EARNED for f in both):
         return []
     return sorted(both, key=lambda f: -f.worth.value)
+
+
+def _settled(problem: Problem, fit: Refit) -> Refit:
+    """Return a refit that has converged: what has not would be credited to the next effect."""
+    return refit(problem, [fit.candidate], start=[fit], iterations=SETTLED)[0]
 
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
@@ -110,13 +114,14 @@ def small(problem: Problem, singles: Trial) -> FoundEffect | None:
 def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
     """Return the best refit with a drift within each record, if it saves as much as a second effect would have to.
 
-    The best single effect, under any of its names, may drift with time. The voltage gain may drift with temperature;
-    its saving is measured against the member of the class that predicts best.
+    The best single effect, under any of its names, may drift with time. The voltage gain may drift with temperature:
+    this must save as much beside the member of the class that predicts best, too.
     """
-    drifts = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
-    drifts += [(drifting(problem, fit, "temperature"), steadiest) for fit in _voltage_gains(problem, singles)]
-    saves = [(saved(drift, steady), drift) for drift, steady in drifts if drift is not None]
+    drifts = [(drifting(problem, fit), [_settled(problem, fit)]) for fit in members if same(fit, members[0])]
+    for gain in _voltage_gains(problem, singles):
+        drifts.append((drifting(problem, gain, "temperature"), [_settled(problem, gain), steadiest]))
+    saves = [(min(saved(drift, steady) for steady in beside), drift) for drift, beside in drifts if drift is not None]
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 
@@ -130,11 +135,14 @@ def _voltage_gains(problem: Problem, singles: Trial) -> list[Refit]:
 def _drifting_gain(problem: Problem, singles: Trial) -> list[FoundEffect]:
     """Return a voltage gain that changes with temperature as the finding, for records in which no effect was found.
 
-    Part of its saving may come from errors of the file; it must therefore be worth as much as each effect of a pair.
+    Part of its saving may come from errors of the file; it must therefore be worth as much as each effect of a pair,
+    and the drift must save something beside the same gain without it.
     """
     for fit in _voltage_gains(problem, singles):
         drift = drifting(problem, fit, "temperature")
-        if drift is not None and (gain := worth(drift, singles.before)).value > EARNED_BESIDE:
+        if drift is None or not saved(drift, _settled(problem, fit)) > EARNED_TOGETHER:
+            continue
+        if (gain := worth(drift, singles.before)).value > EARNED_BESIDE:
             sure = no_chance(problem, fit, singles.before, gain, EARNED_BESIDE)
             return [FoundEffect(members=(fit,), worth=gain, outside=(), probability=sure, drift=drift)]
     return []
