@@ -23,7 +23,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS, LOST_SDS = 3.0, 5.0
-FAR_REACTION_V = 0.1  # per cell, in both directions: twice the value of a pack that has lost a sixth of its charge
+FAR_REACTION_V = 0.09  # per cell, in both directions; a pack that has lost a sixth of its charge has 0.05
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S = 60.0, 5.0, 60.0
 SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # time that one value counts for: the first value, and one after a gap
 LARGEST_NIS = 25.0  # limit of a single row, so that one outlier does not count as a misfit of a minute
