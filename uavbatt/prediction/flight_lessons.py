@@ -6,9 +6,9 @@ Two things lengthen a leg beyond its plan: a stretch of its time and the speedin
 
 and each flown leg improves both (Bayesian linear regression of two numbers), separately for short legs, of which the
 corners are the main part, and for long ones. The power level is the flown power over that of the vehicle's `[powers]`:
-it shows an undeclared payload. How much more is flown at airspeeds beyond the learned ones is learned by itself, as the
-mean of ln(flown / modelled) for each unit of `powers.beyond_learned`. Some autopilots climb along the whole leg, others at once and then fly on level; the
-latter asks more power for a shorter time, which ends flights.
+it shows an undeclared payload. Beyond the learned airspeeds the flight teaches how much more power it asks there. Some
+autopilots climb along the whole leg, others at once and then fly on level; the latter asks more power for a shorter
+time, which ends flights.
 """
 
 from __future__ import annotations
