@@ -164,6 +164,10 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "timing of legs that knows nothing": of_battery(*LESSONS, 0, value=[0.0] * 5),
     "timing of legs nan": of_battery(*LESSONS, 1, 0, value=math.nan),
     "power level of negative seconds": of_battery(*LESSONS, 4, value=-1.0),
+    "power at high airspeed nan": of_battery(*LESSONS, slice(8, None), value=[10.0, 5.0, math.nan]),
+    "power at high airspeed of no seconds": of_battery(*LESSONS, slice(8, None), value=[0.0, 1.0, 1.0]),
+    "power at high airspeed e^100000 too small": of_battery(*LESSONS, slice(8, None), value=[10.0, 5.0, -1e6]),
+    "airspeeds ten times the learned ones": of_battery(*LESSONS, slice(8, None), value=[1.0, 1e3, 0.0]),
     "take-off with a text": of_battery(*TAKE_OFF, value="early"),
     "take-off at negative power": of_battery(*TAKE_OFF, 1, value=-1.0),
     "take-off without ends": of_battery(*TAKE_OFF, 2, value=[]),
@@ -236,6 +240,19 @@ def test_a_sound_state_is_resumed_and_said_so(kept: tuple[str, float], tmp_path:
     assert notes(bench) == "battery 0: resumed from a state 2 s old"
     assert bench.daemon.board.reports[0].remaining.status == "ok"
     assert bench.daemon._reader.parameters["BATT_CAPACITY"] == 5000.0
+
+
+def test_a_state_from_before_the_power_at_high_airspeed_was_learned_is_resumed(
+    kept: tuple[str, float], tmp_path: Path
+) -> None:
+    content = json.loads(kept[0])
+    of_battery(*LESSONS, slice(8, None), value=[])(content)
+    path = tmp_path / "state.json"
+    path.write_text(json.dumps(content))
+    bench = restarted(path, kept[1])
+    bench.play(flight()[FLOWN + 2 : FLOWN + 8])
+    assert notes(bench) == "battery 0: resumed from a state 2 s old"
+    assert bench.daemon.batteries.tracked[0].estimator.past.forecaster.route.beyond_s == 0.0
 
 
 def test_a_restart_in_the_first_minutes_keeps_what_was_expected_at_take_off(

@@ -12,7 +12,9 @@ from uavbatt.battery.battery_file import GENERIC
 from uavbatt.packs import ageing
 from uavbatt.packs.findings import of_battery_file
 from uavbatt.packs.outlook import outlook
+from uavbatt.packs.records import PackRow
 from uavbatt.packs.words import retire_words
+from uavbatt.report.packs import packs_report
 
 WIGGLE = (0.01, -0.02, 0.015, -0.005, 0.02, -0.015, 0.0, 0.01, -0.01, 0.005)
 
@@ -69,6 +71,20 @@ def test_the_generic_file_alone_retires_no_pack():
 def test_an_interval_from_now_to_never_is_no_date():
     found = ageing.history([flight(k, 1.0, 0.86) for k in range(8)])
     assert retire_words(outlook(found[-1].known, RATED_AH, 8, GENERIC)) == "not known when to retire it"
+
+
+def row(name: str, capacity: float, battery: str) -> PackRow:
+    known = ageing.history([flight(k, 1.0, capacity) for k in range(8)])[-1].known
+    return PackRow(name, 4, RATED_AH, TYPE_OHM, math.nan, outlook(known, RATED_AH, 8, battery), ())
+
+
+def test_the_page_does_not_call_an_unknown_end_no_end():
+    """Of two packs read with the generic file it said "no end in sight", and the table "not known"."""
+    page = packs_report("packs.sqlite", [row("A", 0.86, GENERIC), row("B", 0.87, GENERIC)], [])
+    assert "It is not known when to retire 2 packs" in page and "No end in sight" not in page
+    page = packs_report("packs.sqlite", [row("A", 0.86, GENERIC), row("B", 0.7, "a-make")], [])
+    assert "First to retire: B, retire now" in page and "It is not known when to retire 1 pack " in page
+    assert "No end in sight" in packs_report("packs.sqlite", [row("C", 1.0, "a-make")], [])
 
 
 def test_a_pack_says_that_it_is_read_with_the_generic_file():

@@ -112,6 +112,14 @@ def test_an_unknown_aircraft_that_flies_fast_at_once_has_a_level() -> None:
     assert 100.0 < level < 200.0
 
 
+def test_a_dropout_of_the_current_hardly_moves_the_power_beyond_the_learned_airspeeds() -> None:
+    """A reading of 10 mW in ten seconds counts as a tenth of the modelled power: ln of it has no lower limit."""
+    known, columns = taught(20.0, 1.3), terms(20.0, 0.0, 0.0, 0.0, POWERS.induced_ms)
+    dropped = known.with_power(POWERS, 20.0, columns, 0.01, 10.0)
+    at_20_ms = float(beyond_learned(POWERS, np.array(20.0)))
+    assert math.exp(dropped.excess_beyond(POWERS) * at_20_ms) == pytest.approx(1.15, abs=0.04)
+
+
 def test_a_little_beyond_the_learned_airspeeds_the_wind_explains_the_power_as_well() -> None:
     """An error of 5 % there is an error of the wind by 1 m/s, and says nothing of twice the airspeed."""
     excess, beyond = taught(15.5, 1.05).excess_beyond(POWERS), float(beyond_learned(POWERS, np.array(15.5)))

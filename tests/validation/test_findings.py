@@ -128,8 +128,11 @@ def test_a_temperature_without_runs_has_only_the_findings_of_the_series(study):
     assert {f.kind for f in findings(study, 60.0)} == {"likely_misprint", "series_break"}
 
 
-def three_samples(study, change, runs=7):
-    """Three sound samples of so many runs, 10 s apart and at rest in the first row; `change(sample, run)` is added."""
+def three_samples(study, change, runs=7, columns=lambda run: {}):
+    """Three sound samples of so many runs, 10 s apart and at rest in the first row.
+
+    `change(sample, run, current)` is added to the voltage [V]; `columns(run)` replaces columns of a run.
+    """
     rng, time = np.random.default_rng(4), 10.0 * np.arange(61)
     current = np.where(time > 0.0, 15.0, 0.0)
     made = [
@@ -140,7 +143,8 @@ def three_samples(study, change, runs=7):
         for name in "ABC"
         for r in range(1, runs + 1)
     ]  # fmt: skip
-    return findings(replace(study, name="other", cells_series=4, cutoff_V=12.4, runs=tuple(made), flags=()))
+    made = tuple(replace(run, **columns(run)) for run in made)
+    return findings(replace(study, name="other", cells_series=4, cutoff_V=12.4, runs=made, flags=()))
 
 
 def of_kind(found, kind):
@@ -158,6 +162,22 @@ def test_a_sample_with_a_bad_contact_is_named(study):
 def test_a_sample_under_another_voltmeter_is_told_to_differ_before_the_load(study):
     (finding,) = of_kind(three_samples(study, lambda s, r, amps: 0.2 * (s == "C")), "sample_apart")
     assert "sample C" in finding.title and "higher" in finding.title and "voltmeters" in finding.detail
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        (lambda run: {"current_A": np.full(61, np.nan)}, ""),
+        (lambda run: {"voltage_V": np.append(16.5, run.voltage_V[1:])}, "contacts"),
+    ],
+    ids=["the current was not measured", "the same voltage at rest in every run"],
+)
+def test_a_sample_apart_is_told_in_numbers(study, columns, told):
+    found = three_samples(study, lambda s, r, amps: -0.013 * amps * (s == "B"), columns=columns)
+    (finding,) = of_kind(found, "sample_apart")
+    assert finding.numbers["times_s_r"] > 10.0 and told in finding.detail and "nan" not in finding.detail
+    assert ("Before the load" in finding.detail) == bool(told)
 
 
 def test_samples_that_differ_as_little_as_their_runs_are_not_apart(study):

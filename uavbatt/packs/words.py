@@ -22,7 +22,7 @@ def retire_words(seen: Outlook) -> str:
         return f"retire now: below {RETIRED_AT:.0%} already"
     if median == 0.0:
         return f"probably below {RETIRED_AT:.0%} already, but not certain: measure its charge"
-    if soonest == 0.0 and math.isinf(latest):
+    if is_not_known(seen):
         return "not known when to retire it"
     if math.isfinite(median):
         until = f"to {latest:.0f}" if math.isfinite(latest) else "or many more"
@@ -30,6 +30,11 @@ def retire_words(seen: Outlook) -> str:
     if math.isfinite(soonest):
         return f"stays above {RETIRED_AT:.0%} for {soonest:.0f} flights or more"
     return "no reason to retire it"
+
+
+def is_not_known(seen: Outlook) -> bool:
+    """Return True if nothing is known of when to retire the pack: perhaps now, perhaps never."""
+    return seen.retire_flights > 0.0 == seen.retire_lo_flights and math.isinf(seen.retire_hi_flights)
 
 
 def trend_words(trend: float, sd: float) -> str:

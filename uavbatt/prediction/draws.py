@@ -2,7 +2,7 @@
 
 Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a pack
 sooner than charge counting says. Each step solves V I = P and advances the model exactly. `time_to_end` flies the draws
-to their end, `long_steps` over a given time.
+to their end, `long_steps` over a given time. `Flying` is what a forecast is asked to fly; `Draws` are on their way.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Flying(NamedTuple):
     by_rows: bool = False
 
 
-class FlyingDraws(NamedTuple):
-    """FlyingDraws holds draws of a pack on their way: cell, installation, state, and the model's error [V] of each."""
+class Draws(NamedTuple):
+    """Draws holds the draws of a forecast on their way: cells, installations, states, and the model's errors [V]."""
 
     pack: Pack
     ambient_C: Number
@@ -55,7 +55,7 @@ class FlyingDraws(NamedTuple):
     bias_V: Array
     tables: Array  # `curve_tables`
 
-    def of(self, which: NDArray[Any] | slice) -> FlyingDraws:
+    def of(self, which: NDArray[Any] | slice) -> Draws:
         """Return the draws of some of several beginnings [beginnings, draws] that go on side by side."""
         return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
@@ -88,24 +88,24 @@ class Step(NamedTuple):
         return Step(self.dt_s[k], Lags(*(lag[k, ...] for lag in self.lags)), self.gained_V2[k, ...])
 
 
-def start_draws(flying: Flying) -> FlyingDraws:
+def start_draws(flying: Flying) -> Draws:
     """Return the draws of a forecast at the start of their way."""
     pack = flying.pack
     cell, installation, state = unpack(pack, flying.x)
     cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
     harness_ohmAh = series_resistance(installation, 0.0)
     bias_V, tables = flying.x[X.BIAS], curve_tables(pack)
-    return FlyingDraws(pack, flying.ambient_C, cell, installation, harness_ohmAh, state, bias_V, tables)
+    return Draws(pack, flying.ambient_C, cell, installation, harness_ohmAh, state, bias_V, tables)
 
 
-def source_of(draws: FlyingDraws) -> Source:
+def source_of(draws: Draws) -> Source:
     """Return the voltage source that a load meets in each draw now."""
     charged_V, new_ohmAh, drift_sd_V = looked_up(draws.tables, draws.state.soc)
     emf_V, r_ohmAh = model.source_from(draws.cell, draws.state, charged_V, new_ohmAh)
     return Source(emf_V + draws.bias_V, r_ohmAh, r_ohmAh + draws.harness_ohmAh, drift_sd_V)
 
 
-def mean_cell_V(draws: FlyingDraws, at: Source, under: UnderLoad) -> Array:
+def mean_cell_V(draws: Draws, at: Source, under: UnderLoad) -> Array:
     """Return the mean voltage of the cells [V] with their share of the harness; `at` is their source now."""
     cell_V: Array = model.voltage_under(at.emf_V, at.series_ohmAh, under)
     if eq.is_on(draws.installation.deficit):
@@ -114,12 +114,12 @@ def mean_cell_V(draws: FlyingDraws, at: Source, under: UnderLoad) -> Array:
     return cell_V
 
 
-def step_over(draws: FlyingDraws, dt_s: Number) -> Step:
+def step_over(draws: Draws, dt_s: Number) -> Step:
     """Return the step of `dt_s` [s], or many of them, [steps]."""
     return Step(dt_s, model.lags(draws.cell, dt_s), bias_variance(draws.pack, dt_s))
 
 
-def stepped(draws: FlyingDraws, at: Source, under: UnderLoad, step: Step, normals: Array) -> FlyingDraws:
+def stepped(draws: Draws, at: Source, under: UnderLoad, step: Step, normals: Array) -> Draws:
     """Return the draws after a step under a load; `at` is their source before it, `normals` kick the model's error."""
     state = model.step_cell(draws.cell, draws.state, under, at.r_ohmAh, draws.ambient_C, step.dt_s, step.lags)
     doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (step.dt_s / eq.SECONDS_PER_HOUR))

@@ -6,8 +6,9 @@ Two things lengthen a leg beyond its plan: a stretch of its time and the speedin
 
 and each flown leg improves both (Bayesian linear regression of two numbers), separately for short legs, of which the
 corners are the main part, and for long ones. The power level is the flown power over that of the vehicle's `[powers]`:
-it shows an undeclared payload. Some autopilots climb along the whole leg, others at once and then fly on level; the
-latter asks more power for a shorter time, which ends flights.
+it shows an undeclared payload. Beyond the learned airspeeds the flight teaches how much more power it asks there. Some
+autopilots climb along the whole leg, others at once and then fly on level; the latter asks more power for a shorter
+time, which ends flights.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.powers import Powers, beyond_learned, level_of, power
+from uavbatt.battery.powers import MOST_BEYOND, Powers, beyond_learned, level_of, power
 from uavbatt.navigation import Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.records import NAN
@@ -34,6 +35,8 @@ LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
 # Error of the power at high airspeed by the wind estimate (that of 1 m/s), and of the law of the drag where the drag
 # power is twice what was learned.
 WIND_SD, EXCESS_SD = 0.05, 0.15
+MOST_EXCESS = math.log(10.0)  # a row farther off is a fault of the sensor, and a saved sum farther off is damaged
+ROUNDING = 1e-9
 
 
 # Height and distance are compared where the two ways of climbing differ enough.
@@ -97,15 +100,10 @@ class FlightLessons(NamedTuple):
     def is_possible(self) -> bool:
         """Return True if a flight can have taught this: a saved file may hold anything."""
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
-        summed = (
-            self.level_s,
-            self.level_sum_s,
-            self.climbed_first_s,
-            self.climbed_along_s,
-            self.beyond_s,
-            self.beyond_sum_s,
-        )
-        return timed and all(value >= 0.0 for value in summed)
+        summed = (self.level_s, self.level_sum_s, self.climbed_first_s, self.climbed_along_s, self.beyond_sum_s)
+        most_s = self.beyond_s * (1.0 + ROUNDING)
+        beyond = self.beyond_sum_s <= MOST_BEYOND * most_s and abs(self.excess_sum_s) <= MOST_EXCESS * most_s
+        return timed and beyond and all(value >= 0.0 for value in summed)
 
     @property
     def climbs_first(self) -> bool:
@@ -169,10 +167,10 @@ class FlightLessons(NamedTuple):
         it is better than nothing.
         """
         beyond, (level, _) = float(beyond_learned(powers, np.asarray(airspeed_ms))), self.level(powers)
-        if not beyond > 0.0 or not math.isfinite(level):
+        if not beyond > 0.0 or not 0.0 < level < math.inf:
             return self.with_power_ratio(level_of(powers, columns, power_W), told_s)
         kept = math.exp(-told_s / LEVEL_TAU_S)
-        excess = math.log(power_W / float(power(powers, columns, level)))
+        excess = min(max(math.log(power_W / float(power(powers, columns, level))), -MOST_EXCESS), MOST_EXCESS)
         return self._replace(
             beyond_s=kept * self.beyond_s + told_s,
             beyond_sum_s=kept * self.beyond_sum_s + told_s * beyond,
@@ -184,11 +182,11 @@ class FlightLessons(NamedTuple):
 
         It is ln of the ratio, for each unit of `powers.beyond_learned`; the prior is 0 within EXCESS_SD.
         """
-        if not self.beyond_sum_s > 0.0:
+        if not self.beyond_s > 0.0:
             return 0.0
+        beyond, excess = self.beyond_sum_s / self.beyond_s, self.excess_sum_s / self.beyond_s
         noise = powers.row_sd**2 * min(2.0 * POWER_MEMORY_S / self.beyond_s, 1.0) + WIND_SD**2
-        noise /= (self.beyond_sum_s / self.beyond_s) ** 2
-        return EXCESS_SD**2 / (EXCESS_SD**2 + noise) * self.excess_sum_s / self.beyond_sum_s
+        return EXCESS_SD**2 * beyond * excess / (EXCESS_SD**2 * beyond**2 + noise)
 
     def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
         """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power.

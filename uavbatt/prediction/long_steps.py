@@ -14,23 +14,14 @@ import numpy as np
 from uavbatt.battery import model
 from uavbatt.battery.model import Array, State, UnderLoad
 from uavbatt.battery.pack import metered_voltage
-from uavbatt.prediction.draws import (
-    Flying,
-    FlyingDraws,
-    Source,
-    mean_cell_V,
-    source_of,
-    start_draws,
-    step_over,
-    stepped,
-)
+from uavbatt.prediction.draws import Draws, Flying, Source, mean_cell_V, source_of, start_draws, step_over, stepped
 from uavbatt.prediction.sampling import wander
 
 STEP_S = 20.0
 LONGEST_STEP_S = 2.0 * STEP_S  # longest step if only the charge is needed, not the sag of each step
 
 
-def step_draws(draws: FlyingDraws, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> FlyingDraws:
+def step_draws(draws: Draws, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> Draws:
     """Return the draws after `dt_s` [s] of `power_W` [W]; `at` is their source now, `normals` kick the model error."""
     return stepped(draws, at, _under(draws, at, power_W), step_over(draws, dt_s), normals)
 
@@ -41,7 +32,7 @@ def edges_through(times_s: Array) -> Array:
     return np.unique(np.concatenate(parts))
 
 
-def fly_draws(flying: Flying, edges_s: Array) -> FlyingDraws:
+def fly_draws(flying: Flying, edges_s: Array) -> Draws:
     """Return the draws of a forecast at `edges_s` [edges, draws]; the first edge is now."""
     power_W, dt_s = flying.power_W, flying.dt_s
     ends_s = np.concatenate([[0.0], np.cumsum(dt_s)])
@@ -56,7 +47,7 @@ def fly_draws(flying: Flying, edges_s: Array) -> FlyingDraws:
     return draws._replace(state=state, bias_V=np.stack([now.bias_V for now in passed]))
 
 
-def charge_at(passed: FlyingDraws, edges_s: Array, at_s: Array) -> Array:
+def charge_at(passed: Draws, edges_s: Array, at_s: Array) -> Array:
     """Return the charge of each draw at its own time [draws], from the draws at edges [edges, draws] (`fly_draws`)."""
     soc = np.asarray(passed.state.soc)
     own = (np.interp(own_s, edges_s, column) for own_s, column in zip(at_s, soc.T, strict=True))
@@ -70,13 +61,13 @@ def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
     return np.asarray(values[right - 1] + share[:, None] * (values[right] - values[right - 1]))
 
 
-def above_cutoff_V(draws: FlyingDraws, at: Source, power_W: Array) -> Array:
+def above_cutoff_V(draws: Draws, at: Source, power_W: Array) -> Array:
     """Return how far the metered voltage of the pack is above its cut-off under a power [W]; negative below it."""
     installation, cell_V = draws.installation, mean_cell_V(draws, at, _under(draws, at, power_W))
     return np.asarray(metered_voltage(installation, installation.cells * cell_V) - draws.pack.cutoff_V)
 
 
-def _under(draws: FlyingDraws, at: Source, power_W: Array) -> UnderLoad:
+def _under(draws: Draws, at: Source, power_W: Array) -> UnderLoad:
     """Return the load of the cells under a power.
 
     A pack far beyond empty, with a reversed voltage, gives nothing: the simulation must not charge it.

@@ -17,7 +17,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import FlyingDraws, Source, source_of
+from uavbatt.prediction.draws import Draws, Source, source_of
 from uavbatt.prediction.long_steps import STEP_S, above_cutoff_V, step_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import legs_table
@@ -40,7 +40,7 @@ class Turning(NamedTuple):
     least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
     """
 
-    at_turn: FlyingDraws
+    at_turn: Draws
     turn_at_s: Array
     flown: Ahead
     load: RouteLoad
@@ -90,7 +90,7 @@ def fly_home(asked: Turning) -> TurnBack:
     return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.least_soc)
 
 
-def _fly_home(at_turn: FlyingDraws, turn_at_s: Array, home: Homewards, scenarios: Array, least_soc: Array) -> TurnBack:
+def _fly_home(at_turn: Draws, turn_at_s: Array, home: Homewards, scenarios: Array, least_soc: Array) -> TurnBack:
     """Return what comes of the ways home that begin with the draws `at_turn` [turns, draws].
 
     scenarios : factors of level, fast flight and time of each draw [3, draws]
@@ -132,7 +132,7 @@ def _is_asked(least_V: Array) -> Column:
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
-def _above_V(draws: FlyingDraws, at: Source, power_W: Array, least_soc: Array) -> Array:
+def _above_V(draws: Draws, at: Source, power_W: Array, least_soc: Array) -> Array:
     """Return the height above the end of flight: above the cut-off, or above the least charge where that is nearer."""
     above_least_V = (draws.state.soc - least_soc) * SOC_IN_CELL_V * draws.installation.cells
     return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))

@@ -11,7 +11,7 @@ import numpy as np
 from uavbatt.output import counted
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, shared_sd
 from uavbatt.packs.records import LedgerFlight, PackRow
-from uavbatt.packs.words import retire_words, trend_words
+from uavbatt.packs.words import is_not_known, retire_words, trend_words
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -63,12 +63,14 @@ def _contents(histories: Sequence[tuple[PackRow, Sequence[LedgerFlight]]]) -> Ht
 def _headline(packs: Sequence[PackRow]) -> Html:
     if not packs:
         return answer(paragraph("No packs are remembered yet."), mood="unsure")
-    first = packs[0]
-    count = f"{counted(len(packs), 'pack')} remembered."
-    if not math.isfinite(first.outlook.retire_flights):
-        return answer(paragraph("No end in sight for any of them."), paragraph(count))
-    words = paragraph(f"First to retire: {first.name}, {retire_words(first.outlook)}.")
-    return answer(words, paragraph(count))
+    told = [pack for pack in packs if not is_not_known(pack.outlook)]
+    unknown = len(packs) - len(told)
+    if told and math.isfinite(told[0].outlook.retire_flights):
+        words = f"First to retire: {told[0].name}, {retire_words(told[0].outlook)}."
+    else:
+        words = "" if unknown else "No end in sight for any of them."
+    others = f"It is not known when to retire {counted(unknown, 'pack')} (see the table)." if unknown else ""
+    return answer(paragraph(words), paragraph(others), paragraph(f"{counted(len(packs), 'pack')} remembered."))
 
 
 def _table(packs: Sequence[PackRow]) -> Html:

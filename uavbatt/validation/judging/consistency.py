@@ -15,6 +15,7 @@ from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 # Grubbs' test of three means sees a far one only if the other two are equal. A mean as far off as this is told, too:
 # in s_r of single results, and in ranges of the other means, at more than half of the instants. Sound sets: 1.5 s_r.
 FAR_SDS, FAR_RANGES = 4.0, 2.0
+LEAST_S_R = 1e-6  # readings that all show the same scatter by the rounding of their sums at most
 OUTLIER = 0.01  # the level at which ISO 5725-2 calls a sample an outlier, for one instant
 
 Inconsistent = Literal["scatter", "mean"]
@@ -148,6 +149,7 @@ def sample_apart(levels: Levels) -> Apart | None:
         return None
     means = np.nanmean(by_sample, axis=1)
     s_r = np.sqrt(np.nansum((by_sample - means[:, None]) ** 2, axis=(0, 1)) / np.sum(count - 1, axis=0))
+    s_r = np.maximum(s_r, LEAST_S_R)
     for j, sample in enumerate(levels.samples):
         others = np.delete(means, j, axis=0)
         off = means[j] - others.mean(axis=0)

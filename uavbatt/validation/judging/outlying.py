@@ -52,7 +52,9 @@ def samples_apart(readings: Readings, levels: Levels) -> Iterator[Finding]:
 def _before_load(readings: Readings, levels: Levels, apart: Apart) -> str:
     """Return what the voltage at rest tells of the cause; empty if the runs do not begin at rest."""
     runs = [run for run in readings.tests.at(levels.ambient_C) if run.sample == apart.sample]
-    if levels.time_s[0] > 0.0 or any(not abs(run.current_A[0]) < AT_REST * np.nanmax(run.current_A) for run in runs):
+    if levels.time_s[0] > 0.0 or any(
+        not run.current_A[0] < AT_REST * np.max(np.nan_to_num(run.current_A)) for run in runs
+    ):
         return ""
     rested, unit = apart.off[0], UNITS[levels.quantity]
     if abs(rested) > FAR_SDS * apart.s_r[0]:
