@@ -240,6 +240,28 @@ def test_facts_of_another_kind_are_named() -> None:
         estimator.update_facts(None)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("name", ["belief", "past", "size", "facts", "current_A", "consumed_Ah"])
+def test_a_saved_state_of_another_kind_is_named(name: str) -> None:
+    was = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(4, 5.0))
+    list(was.run(flown()[:200]))
+    saved = {"belief": was.belief, "past": was.past, "size": was.pack_size, "facts": PackFacts(),
+             "current_A": 12.0, "consumed_Ah": 1.0}  # fmt: skip
+    again = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(4, 5.0))
+    with pytest.raises(UsageError, match=f"^{name}=None: expected "):
+        again.restore(**{**saved, name: None})  # type: ignore[arg-type]
+    assert again.belief is None
+    again.restore(**saved)  # type: ignore[arg-type]
+    assert again.belief is was.belief
+
+
+def test_navigation_of_another_kind_is_named() -> None:
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(4, 5.0))
+    with pytest.raises(UsageError, match=r"^navigation=None: expected Navigation"):
+        estimator.step(flown()[0], None)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"^navigation=None: expected Navigation"):
+        list(estimator.run(flown()[:2], lambda _: None))  # type: ignore[arg-type, return-value]
+
+
 # --- what a reader must know beside the number -------------------------------------------------------------------
 
 

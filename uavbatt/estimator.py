@@ -31,14 +31,14 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.checked import checked_record, checked_samples
-from uavbatt.estimation.filter import NO_VOLTAGE, SocFilter, estimate_of, unknown
+from uavbatt.estimation.checked import checked_kinds, checked_record, checked_samples
+from uavbatt.estimation.filter import SocFilter, estimate_of, refused_start, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import NOT_BEGUN, FilteredRow, Window, flight_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.estimation.summary import BeliefSummary
-from uavbatt.limits import Names
+from uavbatt.limits import Names, checked_number
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
@@ -167,7 +167,13 @@ class Estimator:
         self, belief: Belief, past: EstimatorMemory, size: PackSize, facts: PackFacts,
         current_A: float, consumed_Ah: float = NAN,
     ) -> None:  # fmt: skip
-        """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
+        """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`.
+
+        Raises UsageError, which names the argument, for a value of another kind.
+        """
+        checked_kinds(belief=(Belief, belief), past=(EstimatorMemory, past), size=(PackSize, size))
+        facts = checked_record(PackFacts, "facts", facts)
+        current_A, consumed_Ah = checked_number("current_A=", current_A), checked_number("consumed_Ah=", consumed_Ah)
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
         self._cleaner = past.cleaner.with_facts(facts)
         self._state = self._fresh_state()._replace(swap=SwapWatch(past.time_s, current_A, belief, 0.0, consumed_Ah))
@@ -188,8 +194,10 @@ class Estimator:
     def step(self, sample: Sample, navigation: Navigation = NOWHERE) -> tuple[Estimate, Remaining]:
         """Take one sample in; returns the estimate and the remaining time after it.
 
-        navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size.
+        navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size,
+        and for a value of another kind.
         """
+        checked_kinds(navigation=(Navigation, navigation))
         (pending,) = self._pending([sample], [navigation], self._in_flight)
         return pending.finish(end_times(pending.question.flying) if pending.question is not None else None)
 
@@ -204,6 +212,8 @@ class Estimator:
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):
             known = [NOWHERE if navigation_at is None else navigation_at(sample.time_s) for sample in window]
+            for navigation in known:
+                checked_kinds(navigation=(Navigation, navigation))
             yield from finished(self._pending(window, known, self._engine.filter_window), self._engine.answers)
 
     def _pending(
@@ -220,7 +230,7 @@ class Estimator:
             self._know(self._known.after(raw, sample))
             state = self._state
             if state is None or self._cleaner.current.is_guessed != state.is_guessed:
-                refused = self._refused_start(sample)
+                refused = refused_start(sample, self._known.refusal)
                 if refused is not None:
                     yield Pending(sample, refused)
                     continue
@@ -246,14 +256,6 @@ class Estimator:
             cleaners.append(cleaner)
             clean.append(sample)
         return cleaners, clean
-
-    def _refused_start(self, sample: Sample) -> Estimate | None:
-        """Return the refused estimate of a row at which no filter may begin; None if one may."""
-        if not math.isfinite(sample.voltage_V):
-            return unknown(sample, NO_VOLTAGE)
-        if self._known.refusal:  # these voltages cannot be those of the pack that is stated
-            return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
-        return None
 
     def _fresh_state(self) -> PackState:
         """Return the state of a pack before its first row; it keeps nothing of a pack before it."""

@@ -48,6 +48,7 @@ class Kind(Enum):
     NO_BELIEF = auto()
     # What a forecast says, or why there is none.
     NOT_FLYING = auto()
+    NO_LOAD_ALOFT = auto()
     JUST_TAKEN_OFF = auto()
     BEYOND_SIX_HOURS = auto()
     NO_END = auto()

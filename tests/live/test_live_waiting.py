@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from daemon_bench import Bench
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.web import content
 from uavbatt.records import Sample
@@ -44,3 +45,14 @@ def test_without_telemetry_nothing_is_promised() -> None:
     battery = content(bench.daemon.board, bench.now_s + 10.0)["batteries"][0]
     assert not battery["waiting"] and battery["plan_s"] is None
     assert battery["reason"] == "no telemetry for 10 s"
+
+
+def test_a_glider_that_is_met_in_the_air_does_not_wait_for_take_off() -> None:
+    """The companion is started in a glide: the position shows the flight, but no load of its motor has come."""
+    bench = Bench()
+    for sample in GROUND:
+        bench.send(dialect.MAVLink_global_position_int_message(0, 470000000, 80000000, 530000, 130000, 1500, 0, 0, 0))
+        bench.play([replace(sample, armed=True)])
+    battery = content(bench.daemon.board, bench.now_s)["batteries"][0]
+    assert not battery["waiting"] and battery["plan_s"] is None and battery["remaining_s"] is None
+    assert battery["reason"].startswith("in the air, but no load that carries the aircraft was seen")

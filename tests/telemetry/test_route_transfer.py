@@ -31,10 +31,10 @@ def item(seq: int, row: Row, to: tuple[int, int] = STATION, kind: int = 0, is_in
 class Passing:
     """Messages one second apart; those of the autopilot and those of a station."""
 
-    def __init__(self, px4: bool = False) -> None:
+    def __init__(self, px4: bool = False, beats: bool = True) -> None:
         self.listener, self.time_s = NavigationListener(keeps_all=True), 0.0
-        beat = dialect.MAVLink_heartbeat_message(2, 12 if px4 else 3, 1, 0, 4, 3)
-        self.said(beat)
+        if beats:
+            self.said(beat(px4))
 
     def said(self, *messages: Any, after_s: float = 1.0) -> Passing:
         for message in messages:
@@ -53,6 +53,10 @@ class Passing:
         return self.listener.now.mission
 
 
+def beat(px4: bool) -> Any:
+    return dialect.MAVLink_heartbeat_message(2, 12 if px4 else 3, 1, 0, 4, 3)
+
+
 def count(number: int, to: tuple[int, int] = STATION, kind: int = 0) -> Any:
     return dialect.MAVLink_mission_count_message(*to, number, kind)
 
@@ -67,6 +71,28 @@ def downloaded(route: Sequence[Row], **how: Any) -> list[Any]:
 
 def uploaded(route: Sequence[Row], **how: Any) -> list[Any]:
     return [count(len(route), VEHICLE), *(item(seq, row, VEHICLE, **how) for seq, row in enumerate(route))]
+
+
+@pytest.mark.parametrize("px4", [False, True])
+def test_a_mission_before_the_first_heartbeat_is_read_when_the_make_is_known(px4: bool) -> None:
+    """PX4 has no item for its home, and a height of 0 is one; ArduPilot's item 0 is its home, and 0 is "unchanged"."""
+    low = [*ROUTE[:3], (3, 16, 47.002, 8.001, 0.0), ROUTE[4]]
+    for say in (
+        lambda passing: passing.said(*downloaded(low)),
+        lambda passing: passing.heard(*uploaded(low)).said(ack()),
+    ):
+        usual, early = say(Passing(px4)), say(Passing(beats=False))
+        assert early.mission.reason == "the make of the autopilot is not known before its first heartbeat"
+        early.said(beat(px4))
+        assert early.mission == usual.mission and early.mission.reason == ""
+        assert early.mission.has_home_item is not px4
+        assert math.isnan(early.mission.items[3].alt_m) is not px4
+
+
+def test_a_transfer_goes_on_over_the_first_heartbeat() -> None:
+    messages = downloaded(ROUTE)
+    early = Passing(beats=False).said(*messages[:3]).said(beat(px4=True)).said(*messages[3:])
+    assert early.mission == Passing(px4=True).said(*messages).mission
 
 
 def test_a_download_is_the_mission_when_its_last_item_has_passed() -> None:

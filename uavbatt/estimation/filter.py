@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from uavbatt.battery.capacity_prior import Capacities, known_capacity
 from uavbatt.battery.scaling import Pack
@@ -144,3 +145,13 @@ def _why_nothing(sample: Sample) -> Notice:
     if is_complete(sample):
         return TIME_BACKWARDS
     return NO_CURRENT if math.isfinite(sample.voltage_V) else NO_VOLTAGE
+
+
+def refused_start(sample: Sample, refusal: str) -> Estimate | None:
+    """Return the refused estimate of a row at which no filter may begin; None if one may.
+
+    refusal : why the voltages cannot be those of the pack that is stated; empty if they can
+    """
+    if not math.isfinite(sample.voltage_V):
+        return unknown(sample, NO_VOLTAGE)
+    return replace(unknown(sample, refusal), warnings=(refusal,)) if refusal else None

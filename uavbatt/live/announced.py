@@ -80,6 +80,7 @@ REASONS: dict[Kind, str] = {
     Kind.TIME_BACKWARDS: "time went backwards",
     Kind.SETTLING: "charge is uncertain",
     Kind.NOT_FLYING: "no load seen",
+    Kind.NO_LOAD_ALOFT: "no load seen",
     Kind.JUST_TAKEN_OFF: "the load has just begun",
     Kind.BEYOND_SIX_HOURS: "load too low for flight",
     Kind.NO_CHARGE: "charge is unknown",

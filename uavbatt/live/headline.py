@@ -120,7 +120,8 @@ def _gives_nothing(report: Report, carrying: Report) -> bool:
 
 
 def _warned(report: Report, words: Notice) -> Report:
-    """Return the report with these words as a warning, and as the reason if it would otherwise wait for take-off."""
+    """Return the report with these words as a warning, and as the reason if it has seen no load."""
     estimate = replace(report.estimate, warnings=(*report.estimate.warnings, words))
-    reason = words if kind_of(report.remaining.reason) is Kind.NOT_FLYING else report.remaining.reason
+    is_without_load = kind_of(report.remaining.reason) in (Kind.NOT_FLYING, Kind.NO_LOAD_ALOFT)
+    reason = words if is_without_load else report.remaining.reason
     return replace(report, estimate=estimate, remaining=replace(report.remaining, reason=reason))

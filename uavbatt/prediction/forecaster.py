@@ -37,6 +37,9 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
+NO_LOAD_ALOFT = Notice(
+    "in the air, but no load that carries the aircraft was seen: no forecast until the motors run", Kind.NO_LOAD_ALOFT
+)
 JUST_TAKEN_OFF = Notice("the load has just begun", Kind.JUST_TAKEN_OFF)
 NO_BELIEF = Notice("no estimate of the pack yet", Kind.NO_BELIEF)
 BEYOND_SIX_HOURS = Notice(
@@ -129,7 +132,7 @@ class Forecaster:
             self._rested = belief
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
             self._at_take_off = self._expected(self._rested or belief, self._flight.flying_since_s)
-        refusal, question = self._refusal(estimate, flying_s), None
+        refusal, question = self._refusal(estimate, flying_s, navigation.is_aloft(sample.time_s)), None
         if not refusal and belief is None:
             refusal = NO_BELIEF
         elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
@@ -270,13 +273,18 @@ class Forecaster:
             powers = route_forecast.powers_of(self.settings.load)
             self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)
 
-    def _refusal(self, estimate: Estimate, flying_s: float) -> str:
-        """Return why there can be no forecast `flying_s` [s] after take-off, NaN on the ground; empty if there can."""
+    def _refusal(self, estimate: Estimate, flying_s: float, is_aloft: bool | None) -> str:
+        """Return why there can be no forecast, empty if there can.
+
+        flying_s : time since take-off [s], NaN before it; is_aloft : True in the air by position or by the autopilot.
+        """
         if estimate.status is Status.REFUSED:
             return estimate.reason
         if isinstance(self.settings.load, ConstantLoad) or flying_s >= SETTLED_S:
             return ""
-        return NOT_FLYING if math.isnan(flying_s) else JUST_TAKEN_OFF
+        if math.isfinite(flying_s):
+            return JUST_TAKEN_OFF
+        return NO_LOAD_ALOFT if is_aloft else NOT_FLYING
 
 
 def _step_s(load: Load, typical_s: float) -> float:

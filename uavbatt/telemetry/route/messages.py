@@ -1,18 +1,21 @@
 """Decoded MAVLink messages -> `NavigationBuilder`, for telemetry logs and for the live link.
 
 A message is anything with the attributes of the MAVLink XML: pymavlink's own, or a light tuple of a fast reader.
+ArduPilot and PX4 read some items differently, and only ArduPilot's item 0 is its home. So a mission that comes before
+the first heartbeat, which names the make, is not understood until then.
 Scales: 1e-7 deg, mm, cm/s; `relative_alt` counts from home, `vz` downwards, WIND.direction is where it comes from.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from uavbatt.mavlink.fields import AUTOPILOT_PX4
-from uavbatt.navigation import NAN, Home, Navigation
+from uavbatt.navigation import NAN, Home, Mission, Navigation
 from uavbatt.telemetry.route.builder import NavigationBuilder
 from uavbatt.telemetry.route.commands import Fields, mission_item
 from uavbatt.telemetry.route.modes import mode_of
@@ -32,8 +35,11 @@ OF_OTHERS = frozenset((MISSION_COUNT, MISSION_ITEM, MISSION_ITEM_INT, MISSION_CL
 _TO_SOMEBODY = frozenset(
     (MISSION_COUNT, MISSION_ITEM, MISSION_ITEM_INT, MISSION_ACK, MISSION_REQUEST, MISSION_REQUEST_INT)
 )
+_OF_MISSIONS = OF_OTHERS | {MISSION_ACK}
 
 SOURCE = "link"
+MOST_EARLY = 6000  # messages of missions before the first heartbeat; a mission has 5000 items at most
+NO_MAKE = "the make of the autopilot is not known before its first heartbeat"
 _E7 = 1e7
 _UNKNOWN_INT = 0x7FFFFFFF
 _MISSION, _RALLY, _ALL = 0, 2, 255  # MAV_MISSION_TYPE; fences and rally points travel by the same messages
@@ -52,7 +58,8 @@ class NavigationListener:
         self.transfer = Transfer()
         self._own = own
         self._is_outdated = False
-        self._is_px4 = False
+        self._is_px4: bool | None = None  # until the first heartbeat
+        self._early: deque[Callable[[], None]] = deque(maxlen=MOST_EARLY)  # read again at the first heartbeat
         self._mission_id = 0
         self._rally_to_come: int | None = None  # points that another station writes, until they are acknowledged
         self._take: dict[int, Callable[[float, Any], None]] = {
@@ -73,6 +80,8 @@ class NavigationListener:
 
     def take(self, time_s: float, message_id: int, message: Any) -> None:
         """Take a message of the autopilot."""
+        if self._is_px4 is None and message_id in _OF_MISSIONS:
+            self._early.append(lambda: self.take(time_s, message_id, message))
         self.transfer.passes(time_s)
         if message_id in _TO_SOMEBODY and (message.target_system, message.target_component) != self._own:
             self.transfer.of_another(time_s)
@@ -85,6 +94,8 @@ class NavigationListener:
 
     def take_other(self, time_s: float, message_id: int, message: Any) -> None:
         """Take a message of another station to the autopilot."""
+        if self._is_px4 is None and message_id in OF_OTHERS:
+            self._early.append(lambda: self.take_other(time_s, message_id, message))
         self.transfer.passes(time_s)
         if message_id in OF_OTHERS:
             self.transfer.of_another(time_s)
@@ -106,8 +117,8 @@ class NavigationListener:
         elif message_id == MISSION_WRITE_PARTIAL_LIST:
             self._part(time_s, message)
         else:
-            self.transfer.takes(time_s, mission_item(_fields(message_id, message), self._is_px4), is_upload)
-        self._hold(time_s, self.transfer.whole(SOURCE, not self._is_px4))
+            self.transfer.takes(time_s, mission_item(_fields(message_id, message), self._is_px4 is True), is_upload)
+        self._hold(time_s, self.transfer.whole(SOURCE, self._is_px4 is not True))
 
     def _rally(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
         """Count rally points in a transfer; points written to the autopilot count once it has acknowledged them."""
@@ -133,20 +144,30 @@ class NavigationListener:
         if message.mission_type not in (_MISSION, _ALL):
             return
         is_unheard = message.type == ACCEPTED and not self.transfer.explains_acknowledgement(time_s)
-        self._hold(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
+        self._hold(time_s, self.transfer.acknowledged(message.type, SOURCE, self._is_px4 is not True))
         if is_unheard:
             self._outdate(time_s)
 
-    def _hold(self, time_s: float, mission: Any) -> None:
+    def _hold(self, time_s: float, mission: Mission | None) -> None:
         """Set the mission that the autopilot has from now on; None changes nothing."""
         if mission is not None:
             self._mission_id, self._is_outdated = 0, False
+            mission = replace(mission, reason=NO_MAKE) if self._is_px4 is None else mission
             self.builder.mission(time_s, mission)
 
     def _heartbeat(self, time_s: float, message: Any) -> None:
         self._is_px4 = message.autopilot == AUTOPILOT_PX4
         self.builder.autopilot(time_s, self._is_px4)
         self.builder.mode(time_s, mode_of(message))
+        if self._early:
+            self._take_early()
+
+    def _take_early(self) -> None:
+        """Read the messages of missions that came before the first heartbeat, as those of the make now known."""
+        early, self._early = self._early, deque()
+        self.transfer = Transfer()
+        for take in early:
+            take()
 
     def _current(self, time_s: float, message: Any) -> None:
         total = getattr(message, "total", 0)
