@@ -257,6 +257,23 @@ def test_a_flight_is_saved_whole_though_the_ledger_was_away(tmp_path, rows, back
     assert_saved_whole(folder / "packs.sqlite", rows)
 
 
+def test_a_ledger_that_is_back_in_the_air_is_not_shown_as_gone(tmp_path, rows, capsys):
+    """Page and log said until the landing that the flight waits, and a second loss was not logged."""
+    folder, away, part = tmp_path / "stick", tmp_path / "pocket", len(rows) // 6
+    folder.mkdir()
+    kept = flown(keeper(folder / "packs.sqlite"), rows[:part])
+    settled(kept)
+    for first in (part, 3 * part):
+        folder.rename(away)
+        settled(flown(kept, rows[first : first + part]))
+        assert "it is gone" in kept.note
+        away.rename(folder)
+        settled(flown(kept, rows[first + part : first + 2 * part]))
+        assert kept.note.endswith("packs.sqlite is back")
+    said = capsys.readouterr().err
+    assert said.count("it is gone") == said.count("packs.sqlite is back") == 2
+
+
 def test_a_ledger_that_was_replaced_in_the_air_holds_the_rest_of_the_flight(tmp_path, rows):
     path, half = tmp_path / "packs.sqlite", len(rows) // 2
     kept = flown(keeper(path), rows[:half])

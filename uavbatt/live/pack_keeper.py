@@ -58,7 +58,7 @@ class PackKeeper:
         self._kept: dict[int, LedgerBattery] = {}
         self._landing: deque[tuple[LedgerBattery, FlightInAir]] = deque(maxlen=MOST_LANDING)  # not yet in the ledger
         self.note = ""
-        self._opened, self._is_doubted = Ledger(path), False
+        self._opened, self._is_doubted, self._is_away = Ledger(path), False, False
         self._left_over = {left.number: left for left in airborne.left_over(self._opened)}
         self._ask_s: dict[int, float] = {}  # when to ask whether it has grown, monotonic
 
@@ -135,10 +135,14 @@ class PackKeeper:
         """Return the ledger, opened anew if its file was away and is back. Raises BadInput while it is away."""
         if self._opened.is_gone or self._is_doubted:
             if not self._path.exists():
+                self._is_away = True
                 raise BadInput(self._path, "", "the pack ledger, and it is gone: flights wait until it is back")
             fresh = Ledger(self._path)
             self._opened.close()
             self._opened, self._is_doubted = fresh, False
+            if self._is_away:
+                self._is_away, self.note = False, f"pack ledger: {self._path} is back"
+                tell(self.note)
         return self._opened
 
     def _take_off(self, kept: LedgerBattery, now_s: float, cells: int, capacity_Ah: float) -> None:

@@ -50,14 +50,14 @@ def outlook(known: PackBelief, rated_Ah: float, flights: int, battery: str) -> O
     )
 
 
-def retirement(known: PackBelief, rated_Ah: float, shared_sd: float) -> tuple[float, float, float]:
+def retirement(known: PackBelief, rated_Ah: float, file_sd: float) -> tuple[float, float, float]:
     """Return the flights left until the capacity is RETIRED_AT of the rated one [Ah]: median, 5 %, 95 % points.
 
-    shared_sd : sd of ln Ah that all flights share
+    file_sd : sd of ln Ah by the error of the battery file, which all flights share
     A number beyond FARTHEST_FLIGHTS is given as infinite.
     """
     left = known.mean[1] - math.log(RETIRED_AT * rated_Ah)
-    level_sd, trend_sd = math.hypot(math.sqrt(known.covariance[1, 1]), shared_sd), math.sqrt(known.covariance[3, 3])
+    level_sd, trend_sd = math.hypot(math.sqrt(known.covariance[1, 1]), file_sd), math.sqrt(known.covariance[3, 3])
     shared = known.covariance[1, 3] / level_sd
     own_sd = math.sqrt(max(trend_sd**2 - shared**2, 0.0))
     level, change = np.meshgrid(LEVELS, LEVELS)

@@ -163,8 +163,8 @@ class FlightLessons(NamedTuple):
         """Return the lessons after `told_s` [s] in which the aircraft flew at an airspeed [m/s] with a power [W].
 
         columns : the terms of the power (`powers.terms`). Beyond the learned airspeeds the law is extrapolated, so that
-        its error there must not count as a payload: it is learned by itself. Where nothing is known of the level yet,
-        it is better than nothing.
+        its error there must not count as a payload: it is learned by itself. While the level is not known at all, also
+        such a row counts for the level.
         """
         beyond, (level, _) = float(beyond_learned(powers, np.asarray(airspeed_ms))), self.level(powers)
         if not beyond > 0.0 or not 0.0 < level < math.inf:

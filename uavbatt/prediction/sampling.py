@@ -83,9 +83,9 @@ def shuffled(count: int) -> Array:
 def least_soc(flying: Flying) -> Array:
     """Return the charge [draws] below which each draw ends: the reserve, else none that the pack may give.
 
-    It ends a flight along the route and one on its way home. A curve goes on below its charge of 0, so that a cut-off
-    far below it would be met long after a pack is empty. For a make that nobody tested it is not known how much charge
-    lies below that point of the curve.
+    It holds along the route and on the way home. A curve goes on below its charge of 0, so that a cut-off far below it
+    would be met long after a pack is empty. For a make that nobody tested it is not known how much charge lies below
+    that point of the curve.
     """
     if flying.reserve_soc > 0.0:
         return np.full(DRAWS, flying.reserve_soc)
