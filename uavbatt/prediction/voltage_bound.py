@@ -39,6 +39,9 @@ IDLE_SHARE = 0.25  # bins of less than this share of the current now show anothe
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
 BLIND_REACH_V = 0.23  # without a current: a climb sags a cell by a tenth of a volt, and looks like the end
+# A fall of fewer steps of the voltage's resolution may be one step: half volts show a slow fall as a flat line with a
+# cliff in it.
+RESOLVED_STEPS = 1.5
 SIGHT_S = 190.0  # a fall says little about an end further ahead
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
@@ -78,13 +81,18 @@ class LaggingCurrents(NamedTuple):
 
 
 class FallBin(NamedTuple):
-    """FallBin holds a bin's means: begin [s], voltage [V], current [A], the lagging currents at its begin, rows."""
+    """FallBin holds a bin's means: begin [s], voltage [V], current [A], the lagging currents at its begin, rows.
+
+    last_V : of the last row [V]; step_V : smallest change of the voltage from one row to the next, infinite without one
+    """
 
     begin_s: float
     voltage_V: float
     current_A: float
     lagging: LaggingCurrents = LaggingCurrents()
     rows: int = 1
+    last_V: float = NAN
+    step_V: float = math.inf
 
     @property
     def is_metered(self) -> bool:
@@ -101,7 +109,8 @@ class FallBin(NamedTuple):
         share = 1.0 / (self.rows + 1)
         volts = self.voltage_V + share * (voltage_V - self.voltage_V)
         amps = self.current_A + share * (current_A - self.current_A)
-        return FallBin(self.begin_s, volts, amps, self.lagging, self.rows + 1)
+        step_V = min(self.step_V, _changed_V(self.last_V, voltage_V))
+        return FallBin(self.begin_s, volts, amps, self.lagging, self.rows + 1, voltage_V, step_V)
 
 
 NO_BIN = FallBin(NAN, NAN, NAN)
@@ -131,7 +140,10 @@ class Fall(NamedTuple):
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
         bins = tuple(row for row in bins if row.current_A >= min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A))
-        slope_left_s = _by_mean_slope_s(bins, cutoff_V) if len(bins) >= FEWEST_BINS else math.inf
+        fallen_V = _mean_fall_V(bins) if len(bins) >= FEWEST_BINS else 0.0
+        if fallen_V <= 0.0 or fallen_V < RESOLVED_STEPS * min(row.step_V for row in bins):
+            return math.inf
+        slope_left_s = _by_mean_slope_s(bins, fallen_V, cutoff_V)
         if slope_left_s > LEVEL * SIGHT_S:
             return math.inf
         rows = np.array([(*row[:3], lag_V) for row, lag_V in zip(bins, _lags_V(bins, fast_V, slow_V), strict=True)])
@@ -161,13 +173,23 @@ def _lags_V(bins: tuple[FallBin, ...], fast_V: float, slow_V: float) -> list[flo
     return [fast * row.lagging.fast_A + slow * row.lagging.slow_A for row in bins]
 
 
-def _by_mean_slope_s(bins: tuple[FallBin, ...], cutoff_V: float) -> float:
-    """Return the time left [s] by the fall from the first quarter of the bins to the last; infinite without a fall."""
+def _changed_V(before_V: float, now_V: float) -> float:
+    """Return the change of the voltage between two rows [V]; infinite without one."""
+    return abs(now_V - before_V) if now_V != before_V and math.isfinite(before_V) else math.inf
+
+
+def _mean_fall_V(bins: tuple[FallBin, ...]) -> float:
+    """Return the fall of the voltage from the first quarter of the bins to the last [V]."""
     part = len(bins) // 4
-    first_V = sum(row.voltage_V for row in bins[:part]) / part
+    return sum(row.voltage_V for row in bins[:part]) / part - sum(row.voltage_V for row in bins[-part:]) / part
+
+
+def _by_mean_slope_s(bins: tuple[FallBin, ...], fallen_V: float, cutoff_V: float) -> float:
+    """Return the time left [s] if the voltage goes on as from the first quarter of the bins to the last."""
+    part = len(bins) // 4
     last_V = sum(row.voltage_V for row in bins[-part:]) / part
     over_s = 0.75 * (bins[-1].begin_s - bins[0].begin_s)
-    return max(last_V - cutoff_V, 0.0) * over_s / (first_V - last_V) if first_V > last_V else math.inf
+    return max(last_V - cutoff_V, 0.0) * over_s / fallen_V
 
 
 def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
@@ -225,7 +247,8 @@ class VoltageBound(NamedTuple):
             return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s, lagging)
         cells, cutoff_V = float(pack.installation.cells), float(pack.at_weakest_cell(below_V).cutoff_V)
         x = belief.mean if belief is not None else np.zeros(SIZE)
-        fall = self.fall.with_bin(FallBin(time_s, volts, amps, lagging))  # once a second is often enough to look
+        new = FallBin(time_s, volts, amps, lagging, last_V=volts, step_V=_changed_V(last.last_V, volts))
+        fall = self.fall.with_bin(new)  # once a second is often enough to look
         left_s = fall.time_left_s(cells, cutoff_V, cells * float(x[X.POLARISATION]), cells * float(x[X.DIFFUSION]))
         ends_s = self.ends_s if math.isnan(left_s) else (*self.ends_s[1:], time_s + left_s)
         return VoltageBound(fall, ends_s, lagging)

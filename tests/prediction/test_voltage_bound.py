@@ -1,0 +1,47 @@
+"""The bound by the voltage: what a fall of the measured voltage shows, and what it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pytest
+from factories import generic_pack
+
+from uavbatt.prediction.voltage_bound import VoltageBound
+from uavbatt.records import Sample
+
+
+def left_s(volts: Sequence[float], row_s: float = 1.0) -> list[float]:
+    """The time left by the voltage, row by row, at a steady current."""
+    pack, bound, found = generic_pack(), VoltageBound(), []
+    for k, voltage_V in enumerate(volts):
+        bound = bound.after(Sample(k * row_s, voltage_V, 20.0), None, pack, 0.0)
+        found.append(bound.left_s(k * row_s))
+    return found
+
+
+def in_steps(volts: Sequence[float], step_V: float) -> list[float]:
+    return [math.floor(voltage_V / step_V + 1e-9) * step_V for voltage_V in volts]
+
+
+def cutoff_V() -> float:
+    pack = generic_pack()
+    return float(pack.cutoff_V)
+
+
+@pytest.mark.parametrize("row_s", [0.1, 1.0])
+@pytest.mark.parametrize("step_V", [0.001, 0.25, 0.5])
+def test_a_slow_fall_shows_no_end_however_coarse_its_steps_are(step_V: float, row_s: float) -> None:
+    """0.6 V in ten minutes; "0:07 min left" was once said after one step of half a volt."""
+    rows = round(600.0 / row_s)
+    slow = [cutoff_V() + 1.3 - 0.6 * k / rows for k in range(rows)]
+    assert all(left == math.inf for left in left_s(in_steps(slow, step_V), row_s))
+
+
+@pytest.mark.parametrize("step_V", [0.001, 0.05, 0.1])
+def test_the_end_of_a_pack_shows_in_tenths_of_a_volt(step_V: float) -> None:
+    """It falls by 1.2 V in its last two minutes, faster and faster."""
+    falls = [cutoff_V() + 1.2 * (1.0 - (k / 120.0) ** 2) for k in range(120)]
+    for k, left in enumerate(left_s(in_steps(falls, step_V))):
+        assert k < 85 or 0.5 * (120 - k) - 3.0 <= left <= 2.0 * (120 - k)
