@@ -31,13 +31,15 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
 
 
 def noise_K(record: ObservedRecord) -> float:
-    """Return the noise [K] of the compared temperatures from their second differences; 0 for rows that are too slow.
+    """Return the noise [K] of single temperatures from their second differences; 0 for means, and for slow rows.
 
-    The noise that a file states is of means over BIN_S: a single reading has more.
+    The noise that a file states is of means over BIN_S: a single reading has more. Of means the file knows the noise
+    better than one record does, whose scatter would hide what moves the temperature.
     """
     shown = observed.binned(record)
     bent_K = np.diff(shown.temp_C[np.isfinite(shown.temp_C)], 2)
-    if spacing_s(record) > SLOWEST_S or bent_K.size < LEAST_BENDS:
+    is_single = observed.FINE_SHARE * observed.BIN_S <= spacing_s(record) <= SLOWEST_S
+    if not is_single or bent_K.size < LEAST_BENDS:
         return 0.0
     return float(observed.MAD_TO_SD * np.median(np.abs(bent_K)) / np.sqrt(BENT_BY_ONE))
 
