@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import pytest
 from factories import generic_pack
 
-from uavbatt.prediction.voltage_bound import VoltageBound
+from uavbatt.prediction.voltage_bound import SURE_LOOKS, Fall, VoltageBound
 from uavbatt.records import Sample
 
 
@@ -45,3 +45,13 @@ def test_the_end_of_a_pack_shows_in_tenths_of_a_volt(step_V: float) -> None:
     falls = [cutoff_V() + 1.2 * (1.0 - (k / 120.0) ** 2) for k in range(120)]
     for k, left in enumerate(left_s(in_steps(falls, step_V))):
         assert k < 85 or 0.5 * (120 - k) - 3.0 <= left <= 2.0 * (120 - k)
+
+
+@pytest.mark.parametrize(("ahead_s", "said_s"), [(50.0, 50.0), (150.0, math.inf)])
+def test_only_a_near_end_stands_where_a_look_cannot_tell(
+    ahead_s: float, said_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a climb at 6 °C an end 150 s ahead was counted down to 35 s, with 680 s left."""
+    monkeypatch.setattr(Fall, "time_left_s", lambda *_: math.nan)
+    before = VoltageBound(ends_s=(100.0 + ahead_s,) * SURE_LOOKS)
+    assert before.after(Sample(100.0, 14.0, 20.0), None, generic_pack(), 0.0).left_s(100.0) == said_s

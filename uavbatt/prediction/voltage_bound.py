@@ -9,11 +9,11 @@ It does not depend on the believed charge. The lagging overpotentials are those 
 a climb is not taken for an emptying pack. Their course over the window comes from the current alone: the belief may
 change its mind about the capacity within a few rows, and with it the overpotentials that it held before. The longer
 time of the two windows counts, and only when both falls stand out of their scatter. If they do not, but the fall from
-the window's beginning to its end leads to the cut-off in sight, the end that was shown before stands. On packs of many
-makes that time is right to a factor of two in the last 45 s, and too long before: so it can shorten a forecast and
-never lengthens one. Rows slower than every three seconds show no such fall. While the current is unknown the voltage is
-fitted as it is measured, without sag and lag: there is no time to shorten then, but the crew is told that the end is
-near.
+the window's beginning to its end leads to the cut-off in sight, an end that was near (STANDS_S) still stands. On packs
+of many makes that time is right to a factor of two in the last 45 s, and too long before: so it can shorten a forecast
+and never lengthens one. Rows slower than every three seconds show no such fall. While the current is unknown the
+voltage is fitted as it is measured, without sag and lag: there is no time to shorten then, but the crew is told that
+the end is near.
 """
 
 from __future__ import annotations
@@ -49,6 +49,9 @@ OUTSTANDING = 6.0  # standard errors of the slope
 ALARM_SHARE = 0.63
 SHARES = (0.5, ALARM_SHARE, 1.25, 2.5)
 SURE_LOOKS = 5  # looks, one a second
+# An end farther away does not stand without a fall that shows it: a climb at 6 °C counted down for half a minute from
+# 150 s, with 680 s left.
+STANDS_S = 60.0
 CONTRADICTED_S = 120.0
 FALLS_FASTER = Notice(
     "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low",
@@ -250,8 +253,10 @@ class VoltageBound(NamedTuple):
         new = FallBin(time_s, volts, amps, lagging, last_V=volts, step_V=_changed_V(last.last_V, volts))
         fall = self.fall.with_bin(new)  # once a second is often enough to look
         left_s = fall.time_left_s(cells, cutoff_V, cells * float(x[X.POLARISATION]), cells * float(x[X.DIFFUSION]))
-        ends_s = self.ends_s if math.isnan(left_s) else (*self.ends_s[1:], time_s + left_s)
-        return VoltageBound(fall, ends_s, lagging)
+        if math.isnan(left_s) and self.left_s(time_s) <= STANDS_S:
+            return VoltageBound(fall, self.ends_s, lagging)
+        end_s = math.inf if math.isnan(left_s) else time_s + left_s
+        return VoltageBound(fall, (*self.ends_s[1:], end_s), lagging)
 
     def left_s(self, time_s: float) -> float:
         """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""
