@@ -1,4 +1,4 @@
-"""What the runs of a discharge data set cannot be: a reversed sign, or a wrong unit that each single row allows.
+"""Checks of whole discharge runs, for a reversed sign and for wrong units that each single row allows.
 
 A cycler writes its tables in its own way. The rows alone do not show that the current is negative in discharge, that
 the time is in minutes or that the surface is in degrees Fahrenheit; the sums over a run do.
@@ -71,7 +71,7 @@ def _first_surface_C(run: Run) -> float:
 
 
 def _is_in_fahrenheit(runs: Sequence[Run]) -> bool:
-    """Return whether every run begins at its ambient temperature only if the surface is read in °F, one above 60."""
+    """Return True if all runs begin at their ambient temperatures when the surfaces are read as °F, one above 60."""
     first = np.array([_first_surface_C(run) for run in runs])
     ambient = np.array([run.ambient_C for run in runs])[~np.isnan(first)]
     first = first[~np.isnan(first)]

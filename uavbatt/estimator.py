@@ -31,7 +31,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
-from uavbatt.estimation.checked import checked_kinds, checked_record, checked_samples
+from uavbatt.estimation.checked import checked_record, checked_samples
 from uavbatt.estimation.filter import SocFilter, estimate_of, refused_start, unknown
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -171,8 +171,8 @@ class Estimator:
 
         Raises UsageError, which names the argument, for a value of another kind.
         """
-        checked_kinds(belief=(Belief, belief), past=(EstimatorMemory, past), size=(PackSize, size))
-        facts = checked_record(PackFacts, "facts", facts)
+        belief, past = checked_record(Belief, "belief", belief), checked_record(EstimatorMemory, "past", past)
+        size, facts = checked_record(PackSize, "size", size), checked_record(PackFacts, "facts", facts)
         current_A, consumed_Ah = checked_number("current_A=", current_A), checked_number("consumed_Ah=", consumed_Ah)
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
         self._cleaner = past.cleaner.with_facts(facts)
@@ -197,8 +197,8 @@ class Estimator:
         navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size,
         and for a value of another kind.
         """
-        checked_kinds(navigation=(Navigation, navigation))
-        (pending,) = self._pending([sample], [navigation], self._in_flight)
+        known = [checked_record(Navigation, "navigation", navigation)]
+        (pending,) = self._pending([sample], known, self._in_flight)
         return pending.finish(end_times(pending.question.flying) if pending.question is not None else None)
 
     def run(
@@ -211,9 +211,9 @@ class Estimator:
         """
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):
-            known = [NOWHERE if navigation_at is None else navigation_at(sample.time_s) for sample in window]
-            for navigation in known:
-                checked_kinds(navigation=(Navigation, navigation))
+            known = [NOWHERE] * len(window)
+            if navigation_at is not None:
+                known = [checked_record(Navigation, "navigation", navigation_at(s.time_s)) for s in window]
             yield from finished(self._pending(window, known, self._engine.filter_window), self._engine.answers)
 
     def _pending(

@@ -1,4 +1,4 @@
-"""How far a pack in service may differ from its battery file: the standard deviations of `scaling.Pack`.
+"""Standard deviations by which a pack in service may differ from its battery file, for `scaling.Pack`.
 
 A pack in service is not the tested pack, and an untested make is no pack that anybody tested. What a file states of its
 own error is widened by its status, and the numbers of `TESTED_MAKE` or `UNKNOWN_MAKE` are added.

@@ -118,10 +118,13 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
     this must save as much beside the member of the class that predicts best, too.
     """
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
-    drifts = [(drifting(problem, fit), [_settled(problem, fit)]) for fit in members if same(fit, members[0])]
+    saves = []
+    for fit in (fit for fit in members if same(fit, members[0])):
+        if (drift := drifting(problem, fit)) is not None:
+            saves.append((saved(drift, _settled(problem, fit)), drift))
     for gain in _voltage_gains(problem, singles):
-        drifts.append((drifting(problem, gain, "temperature"), [_settled(problem, gain), steadiest]))
-    saves = [(min(saved(drift, steady) for steady in beside), drift) for drift, beside in drifts if drift is not None]
+        if (drift := drifting(problem, gain, "temperature")) is not None:
+            saves.append((min(saved(drift, steady) for steady in (_settled(problem, gain), steadiest)), drift))
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 

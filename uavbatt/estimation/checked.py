@@ -34,9 +34,3 @@ def checked_record(kind: type[Record], name: str, value: object) -> Record:
     if not isinstance(value, kind):
         raise UsageError(f"{name}={value!r:.60}: expected {kind.__name__}(...)")
     return value
-
-
-def checked_kinds(**given: tuple[type, object]) -> None:
-    """Check several records, each given by its name as (kind, value). Raises as `checked_record`."""
-    for name, (kind, value) in given.items():
-        checked_record(kind, name, value)

@@ -148,12 +148,11 @@ class Announcer:
         said = self._alarm(now_s, shown) if speaks_first else []
         if is_armed is False:  # the next flight has a warning of its own
             self._is_without_said, self._lost_s = False, self._lost_s if self._was_known else math.nan
-        has_flown = self._was_known and is_armed is True and is_airborne is not False
+        may_fly = is_armed is True and is_airborne is not False
+        is_in_the_air = may_fly if self._was_known else is_airborne is True
         if math.isfinite(shown.remaining_s):
             self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
-        elif shown.status is not Status.STALE and _waits_for_load(
-            report, has_flown or (is_airborne is True and not self._was_known)
-        ):
+        elif shown.status is not Status.STALE and _waits_for_load(report, is_in_the_air):
             self._lost_s, self._was_known = math.nan, self._was_known and is_armed is not False
         else:
             said += self._loss(now_s, shown, is_armed)

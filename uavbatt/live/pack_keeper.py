@@ -130,8 +130,7 @@ class PackKeeper:
         self._worker.shutdown()
         self._opened.close()
 
-    @property
-    def _ledger(self) -> Ledger:
+    def _present_ledger(self) -> Ledger:
         """Return the ledger, opened anew if its file was away and is back. Raises BadInput while it is away."""
         if self._opened.is_gone or self._is_doubted:
             if not self._path.exists():
@@ -173,7 +172,7 @@ class PackKeeper:
 
     def _write(self, flying: FlightInAir) -> None:
         """Store a flight and its rows; rows that cannot be written now are stored the next time."""
-        ledger = self._ledger
+        ledger = self._present_ledger()
         if flying.number is None or (flying.ledger is not ledger and not self._is_stored(flying)):
             flying.number = airborne.store_flight(ledger, flying.flight)
         flying.ledger, rows = ledger, flying.take_rows()
@@ -242,7 +241,7 @@ class PackKeeper:
 
     def _health_of(self, name: str, now_s: float) -> PackHealth | None:
         now_utc_s = self._utc_s(now_s)
-        last = self._ledger.last(name, now_utc_s)
+        last = self._present_ledger().last(name, now_utc_s)
         return prior(last, now_utc_s, self._battery.certificate.content_sha256) if last is not None else None
 
     def _learn_unless_grown(self, was: UnfinishedFlight) -> None:
@@ -254,7 +253,7 @@ class PackKeeper:
             self._learn(was.number)
 
     def _airborne(self, number: int) -> UnfinishedFlight | None:
-        return next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
+        return next((one for one in airborne.left_over(self._present_ledger()) if one.number == number), None)
 
     def _learn(self, number: int) -> None:
         left = self._airborne(number)
@@ -264,16 +263,16 @@ class PackKeeper:
         facts = PackFacts(cells_series=flight.cells, capacity_Ah=flight.capacity_Ah)
         identity = Identity(battery_serial=flight.name, battery_cycles=flight.cycles, start_utc_s=flight.start_utc_s)
         log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
-        before = health_before(self._ledger, flight.name, log, self._battery)
+        before = health_before(self._present_ledger(), flight.name, log, self._battery)
         found = flight_for_ledger(self._battery, self._options, log, before)
         if found.record is None:
-            airborne.delete_flight(self._ledger, number)
+            airborne.delete_flight(self._present_ledger(), number)
             self.note = f"pack {flight.name}: nothing learned: {found.why_not}"
             return
         try:
-            after = self._ledger.save(flight.name, found.record, landed=number)
+            after = self._present_ledger().save(flight.name, found.record, landed=number)
         except AnotherSize as error:
-            airborne.delete_flight(self._ledger, number)
+            airborne.delete_flight(self._present_ledger(), number)
             self.note = f"pack {flight.name}: not remembered: {error}"
             return
         words = "; ".join(finding.words for finding in after.findings)

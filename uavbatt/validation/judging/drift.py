@@ -199,9 +199,8 @@ def step_share(tables: Array) -> Array:
 
 def line_change(table: Array) -> Array:
     """Compute the change of a straight line from the first run to the last, [time]; `table[run, time]`."""
-    runs = np.arange(len(table)) - (len(table) - 1) / 2
-    change: Array = (len(table) - 1) * (runs @ (table - table.mean(axis=0))) / (runs @ runs)
-    return change
+    slope, _ = _line(table)
+    return (len(table) - 1) * slope
 
 
 def trend_share(table: Array) -> float:
@@ -209,14 +208,19 @@ def trend_share(table: Array) -> float:
 
     `table[run, time]`; columns that do not vary are left out, and a table without any has 0.
     """
-    centred = table - table.mean(axis=0)
-    runs = np.arange(len(table)) - (len(table) - 1) / 2
-    whole = (centred**2).sum(axis=0)
+    whole = ((table - table.mean(axis=0)) ** 2).sum(axis=0)
     varies = whole > 0
     if not varies.any():
         return 0.0
-    explained = (runs @ centred) ** 2 / (runs @ runs)
+    _, explained = _line(table)
     return float(np.mean(explained[varies] / whole[varies]))
+
+
+def _line(table: Array) -> tuple[Array, Array]:
+    """Return the slope of a straight line over the runs, and the sum of squares that it explains, [time] each."""
+    runs = np.arange(len(table)) - (len(table) - 1) / 2
+    along: Array = runs @ (table - table.mean(axis=0))
+    return along / (runs @ runs), along**2 / (runs @ runs)
 
 
 def curve_step(table: Array) -> StepTest:
