@@ -153,11 +153,21 @@ def test_an_unknown_aircraft_is_wider_than_its_own_library() -> None:
 
 
 def test_an_unknown_aircraft_expects_a_surge() -> None:
-    made = UnknownAircraft().scenarios(now(300.0), STEP_S, 100)
+    made = UnknownAircraft().scenarios(now(300.0)._replace(left_s=50 * STEP_S), STEP_S, 100)
     assert made.weight.sum() == pytest.approx(1.0) and made.power_W.shape[1] == made.weight.size
     ahead_W = made.power_W @ made.weight
     early_W, late_W = ahead_W[:10].mean(), ahead_W[45:55].mean()
     assert early_W == pytest.approx(300.0, rel=0.1) and 1.03 * early_W < late_W < 1.3 * early_W
+
+
+def test_a_surge_begins_before_the_end_that_the_load_has_without_it() -> None:
+    """A high cut-off ends a flight while the pack holds much: a surge placed by the empty pack would come too late."""
+    at_end_W = [
+        (made.power_W @ made.weight)[40]
+        for left_s in (20 * STEP_S, 40 * STEP_S, 400 * STEP_S)
+        for made in [UnknownAircraft().scenarios(now(300.0)._replace(left_s=left_s), STEP_S, 100)]
+    ]
+    assert at_end_W[0] == pytest.approx(at_end_W[1]) and at_end_W[1] > 1.1 * at_end_W[2]
 
 
 def recent(*power_W: float) -> RecentLoad:

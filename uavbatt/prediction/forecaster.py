@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_voltage
+from uavbatt.battery.pack import c_rate, true_current, true_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
@@ -34,6 +33,7 @@ from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, is_open, load_before_take_off
 from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.typical_end import longest_s, steady_s
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = Notice("not flying: no forecast until the motors carry the aircraft", Kind.NOT_FLYING)
@@ -162,13 +162,15 @@ class Forecaster:
         """Return the forecast to simulate from the belief and the load to come; None when no end is in sight."""
         known = route_forecast.to_come(self.settings.load, self._progress, navigation, time_s)
         load, now = known.load, self._now(belief, time_s, navigation)
-        typical_s = max(self._energy_Wh(belief) * SECONDS_PER_HOUR / load.typical_W(now), 1.0)
+        typical_W = load.typical_W(now)
+        typical_s = longest_s(self.pack, belief, typical_W)
         if not typical_s < LONGEST_FLIGHT_S:
             return None
         horizon_s, by_rows = LONGEST_SHARE * typical_s, self._flight.row_s > SLOW_ROW_S
         dt_s = self._flight.row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
-        scenarios = load.scenarios(now, dt_s, steps)
+        left_s = steady_s(self.pack, belief, typical_W)
+        scenarios = load.scenarios(now._replace(left_s=left_s), dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)
         flying = Flying(
             pack=self.pack.at_weakest_cell(self.cell_spread_V),
@@ -248,11 +250,6 @@ class Forecaster:
         flown = self._flight
         since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
         return FlightPoint(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
-
-    def _energy_Wh(self, belief: Belief) -> float:
-        """Return the energy that is left [Wh], rather too much: the charge believed plus two sds of it."""
-        soc = max(float(belief.mean[X.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[X.SOC, X.SOC]) + 0.01
-        return float(soc * math.exp(float(belief.mean[X.LOG_CAPACITY])) * most_energy_Wh(self.pack.installation))
 
     def _remember(self, sample: Sample, navigation: Navigation) -> None:
         """Take the load and the place of one row into the memory; a row without voltage or current changes nothing."""

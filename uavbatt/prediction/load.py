@@ -40,7 +40,10 @@ class Scenarios(NamedTuple):
 
 
 class FlightPoint(NamedTuple):
-    """FlightPoint holds a point of a flight: log time, time since take-off [s], charge, mean power [W], position."""
+    """FlightPoint holds a point of a flight: log time, time since take-off [s], charge, mean power [W], position.
+
+    left_s : about the time to the end under a steady power [s].
+    """
 
     time_s: float
     since_take_off_s: float
@@ -48,6 +51,7 @@ class FlightPoint(NamedTuple):
     flight_W: float
     recent: RecentLoad
     navigation: Navigation = NOWHERE
+    left_s: float = math.inf
 
 
 class Load(Protocol):

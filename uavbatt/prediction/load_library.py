@@ -230,7 +230,7 @@ class UnknownAircraft:
         flown = now.recent.history
         known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
         levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
-        share = (np.arange(steps) + 0.5) / steps * 2.0  # the horizon is twice the typical time left
+        share = (np.arange(steps) + 0.5) * dt_s / now.left_s
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
