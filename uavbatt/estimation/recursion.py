@@ -11,7 +11,7 @@ compiled; a test holds the two equal to 1e-9.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -126,8 +126,10 @@ def filter_window(
         if shown is None:
             within.append((len(rows), state, sample.voltage_V))
         rows.append(FilteredRow(state.belief, state.summary, shown or NOTHING))
-    for k, shown in _innovations(pack, within):
-        rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
+    if within:
+        numbers, states, voltages_V = zip(*within, strict=True)
+        for k, shown in zip(numbers, _innovations(pack, states, voltages_V), strict=True):
+            rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
     return rows, state
 
 
@@ -156,24 +158,21 @@ def _take(
     return _close(pack, state, condition)
 
 
-def _innovations(pack: Pack, rows: Sequence[tuple[int, FilterState, float]]) -> Iterator[tuple[int, Innovation]]:
-    """Yield the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
+def _innovations(pack: Pack, states: Sequence[FilterState], voltages_V: Sequence[float]) -> list[Innovation]:
+    """Return the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
 
-    Each row has its number in the window. The means are those after the last block, less the charge drawn since.
+    The means are those after the last block, less the charge drawn since.
     """
-    if not rows:
-        return
-    numbers, states, voltages_V = zip(*rows, strict=True)
-    means, weights, charges_As, currents_A = zip(
-        *[(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states],
-        strict=True,
+    rows = [(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states]
+    x, weight, drawn_As, current_A = map(np.array, zip(*rows, strict=True))
+    x[..., X.SOC] -= drawn_As[:, None] / (
+        3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY])
     )
-    x, weight = np.array(means), np.array(weights)
-    drawn_As, current_A = np.array(charges_As)[:, None], np.array(currents_A)[:, None]
-    x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
-    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
-    for k, voltage_V, volts_V, of_row, x_of_row in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
-        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC]))
+    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A[:, None]) * weight).sum(axis=1).tolist()
+    found = []
+    for voltage_V, volts_V, of_row, x_of_row in zip(voltages_V, expected_V, weight, x, strict=True):
+        found.append(Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC])))
+    return found
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
