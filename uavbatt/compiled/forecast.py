@@ -79,7 +79,7 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
         cell_V += weak_lag(installation, cell, state, rate, strong_V)
         volts = metered_voltage(installation, cells * cell_V)
         if by_rows and k > 0:
-            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
+            volts += cells * pack.spread.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
         before = rate
         margin = min(volts - pack.cutoff_V, (state.soc - least_soc) * SOC_IN_CELL_V * cells)
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0

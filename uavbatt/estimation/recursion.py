@@ -83,7 +83,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     ambient_C : given ambient temperature [°C], NaN where nobody gave one; members : the capacities to weigh.
     """
     current_A = float(true_current(pack.installation, sample.current_A, sample.voltage_V))
-    temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.temperature_sd_K
+    temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.spread.temperature_sd_K
     if not math.isfinite(temp_C):
         temp_C, temp_sd_K = ambient_C, 3.0
     if not math.isfinite(temp_C):
@@ -108,7 +108,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
 
 def state_at(pack: Pack, belief: Belief, time_s: float, current_A: float, air: noise.Air) -> FilterState:
     """Return the state of a filter that begins with a belief, after a row at `time_s` [s] under `current_A` [A]."""
-    return FilterState(belief, summary(belief, pack.empty_soc_sd), time_s, current_A, current_A, Block(), air)
+    return FilterState(belief, summary(belief, pack.spread.empty_soc_sd), time_s, current_A, current_A, Block(), air)
 
 
 def filter_window(
@@ -219,9 +219,9 @@ def _update(
     x, P = _at_most_full(x, P, condition)
     log_weights, weight = at.log_weights, at.weights
     if weighs:
-        log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
+        log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.spread.evidence_share)
     if math.isfinite(block.temp_C):
-        air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.temperature_sd_K, block.duration_s)
+        air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.spread.temperature_sd_K, block.duration_s)
     after = Belief(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weights, air.ambient_C)
     soc = float(after.weights @ x[:, X.SOC])
     shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected_V), soc)
@@ -242,7 +242,7 @@ def _measurement(pack: Pack, means: Array, block: Block, step_A: float) -> tuple
     observation, expected = jacobian(readings, means)
     variances = np.empty((len(means), 2))
     variances[:, 0] = noise.reading_variance(pack, means.T, block.current_A, step_A)
-    variances[:, 1] = pack.temperature_sd_K**2
+    variances[:, 1] = pack.spread.temperature_sd_K**2
     noise_R = variances[:, : measured.size, None] * np.eye(measured.size)
     return Measurement(measured - expected, observation, noise_R), expected[:, 0]
 

@@ -150,7 +150,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
-    charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
+    charge = np.diag([START_SOC_SD**2, pack.spread.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
     return Belief(means, covariances, np.log(members.weight), ambient_C)

@@ -64,7 +64,7 @@ def time_to_end(
         recent.cell_V[row], recent.soc[row] = mean_cell_V(draws, at, under), draws.state.soc
         if flying.by_rows and before is not None:
             change_V = np.abs(under.c_rate - before) * at.series_ohmAh
-            recent.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
+            recent.noise_V[row] = installation.cells * pack.spread.row_share * change_V * wander.row[k]
         before = under.c_rate
         if row == recent.soc.shape[0] - 1 or k == count - 1:
             ends = _judged(limits, ends, recent, k)
