@@ -27,7 +27,7 @@ from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
-from uavbatt.prediction.load import LOWEST_POWER_W, SLOW_ROW_S, ConstantLoad, FlightPoint, Load
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
@@ -264,11 +264,8 @@ class Forecaster:
         power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, is_aloft)
-        if (
-            self._at_take_off is not None
-            and self._flight.took_off_s > before.took_off_s
-            and not before.has_carried(rate / max(power_W, LOWEST_POWER_W))  # before it was spool-up
-        ):
+        was_spool_up = self._flight.took_off_s > before.took_off_s and not before.has_carried(power_W, rate)
+        if self._at_take_off is not None and was_spool_up:
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
