@@ -19,6 +19,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Parameters, State
 
 FULL_CELL_V = 4.0  # of a cell; the mean of a gentle discharge is less
+TYPICAL_C_RATE, TYPICAL_CELL_V = 2.5, 3.8  # hovers of 12 to 30 minutes draw 2 to 4 C; mean voltage of a cell on the way
 
 
 class Installation(NamedTuple):
@@ -48,6 +49,11 @@ class Installation(NamedTuple):
 def most_energy_Wh(pack: Installation) -> Number:
     """Return an upper bound of the energy of a full pack [Wh]: every cell at FULL_CELL_V to the end."""
     return pack.present_capacity_Ah * pack.cells * FULL_CELL_V
+
+
+def typical_power_W(cells: int, capacity_Ah: float) -> float:
+    """Return the power [W] that a typical multirotor draws from a pack of `cells` in series and `capacity_Ah` [Ah]."""
+    return TYPICAL_C_RATE * capacity_Ah * cells * TYPICAL_CELL_V
 
 
 def true_current(pack: Installation, current_A: Number, voltage_V: Number) -> Number:

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.pack import typical_power_W
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_SPREAD,
