@@ -30,7 +30,7 @@ FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
 
 # Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
 # the row before. On flights with a row every 12 s it was 14 mV, and 10 mohm times the change, for a pack of 90 mohm.
-ROW_SHARE = 0.12
+ROW_SHARE = 0.12  # part of a change of current between rows that a row's voltage does not show
 
 
 class Spread(NamedTuple):
@@ -48,7 +48,6 @@ class Spread(NamedTuple):
     ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off
     ocv_drift_sd_V: Array  # the part of it that changes with the charge
     temperature_sd_K: float
-    row_share: float  # part of a change of current between rows that a row's voltage does not show
     drop_share: float  # relative error of the drop under load, from reading to reading
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
@@ -123,7 +122,6 @@ def spread_of(file: BatteryFile) -> Spread:
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_ocv_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(file.discrepancy.temperature_rmse_K, 0.2),
-        row_share=ROW_SHARE,
         drop_share=make.drop_share,
         lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
         rested_share=make.rested_share,

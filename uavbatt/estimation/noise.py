@@ -18,6 +18,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array, State
 from uavbatt.battery.pack import c_rate, grown, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
+from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.limits import AMBIENT_C
 
@@ -246,4 +247,4 @@ def _reaction_V(pack: Pack, full_V: float, rate_c: float) -> Number:
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
     """Return the variance of a reading per cell [V²] under the ohmic drop `drop_V` [V], of which `step_V` is new."""
     share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.spread.drop_share, pack.spread.guess_sd)
-    return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.spread.row_share * step_V) ** 2
+    return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (ROW_SHARE * step_V) ** 2
