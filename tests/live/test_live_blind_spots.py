@@ -66,6 +66,21 @@ def test_the_longer_time_of_another_pack_does_not_replace_that_of_a_silent_one(i
     assert any("time unknown, no telemetry" in text for text in texts(bench))
 
 
+def test_the_pack_that_is_left_gives_its_last_alarms() -> None:
+    """The silent pack keeps its place, and the aircraft flies on: the end of the other is not hidden behind it."""
+    bench = Bench(OPTIONS, settings=SETTINGS)
+    for k, sample in enumerate(flight()):
+        bench.send(heartbeat(bool(sample.armed)))
+        emptier = replace(sample, voltage_V=sample.voltage_V - 0.3, current_A=1.3 * sample.current_A)
+        if k < 70:
+            bench.send(battery_status(emptier, 0))
+        bench.send(battery_status(sample, 1))
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    assert [report.instance for report in bench.daemon.board.reports] == [0, 1]
+    assert any(text.startswith("Battery 1: 0:") for text in texts(bench))
+
+
 def test_a_lost_number_is_said_although_the_last_heartbeat_came_on_the_ground() -> None:
     """A router sends the heartbeats on another way: the loss in flight was taken for that of a landed vehicle."""
     bench = Bench(OPTIONS, settings=SETTINGS)

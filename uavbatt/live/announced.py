@@ -244,7 +244,7 @@ def _waits_for_load(report: Report, is_in_the_air: bool) -> bool:
 
 
 def _warnings(now_s: float, report: Report) -> Sequence[str]:
-    """Return the warnings that hold now: only the critical ones of rows that come too late, none of a silent battery."""
+    """Return the warnings that hold now: the critical ones alone of rows that come too late, none in a silence."""
     if report.silent_s(now_s) > STALE_AFTER_S:
         return ()
     held = report.estimate.warnings

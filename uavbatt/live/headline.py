@@ -19,6 +19,8 @@ from uavbatt.live.carriers import Carriers
 from uavbatt.live.log import tell
 from uavbatt.live.report import STALE_AFTER_S, Report
 from uavbatt.notice import Kind, Notice, kind_of
+from uavbatt.prediction.pending import ALARM_S
+from uavbatt.telemetry.builder import CARRYING
 
 NOTHING_SHARE = 0.02  # of the largest current of a battery; electronics alone draw more
 NOTHING_AFTER_S = 3.0  # one row without a current does not count
@@ -111,6 +113,12 @@ class Headline:
         if is_first:
             left_s = _clearly_less(left_s)
         return False, is_idle or is_unknown, left_s, report.instance
+
+
+def takes_alarms(report: Report, first: Report, now_s: float) -> bool:
+    """Return True if a battery gives its last alarms in place of the silent first one, as it carried the flight too."""
+    is_carrier = report.flown_J >= CARRYING * first.flown_J > 0.0
+    return first.is_stale(now_s) and is_carrier and report.at(now_s).at_worst_s <= ALARM_S
 
 
 def _hides_less_time(silent: Report, other: Report, now_s: float) -> bool:

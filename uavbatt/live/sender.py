@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from uavbatt.live.announced import WITHOUT_AFTER_S, Announcer
 from uavbatt.live.battery_component import BatteryFeed
 from uavbatt.live.config import Config
+from uavbatt.live.headline import takes_alarms
 from uavbatt.live.mission_request import MissionRequest
 from uavbatt.live.named import NamedFeed
 from uavbatt.live.proxy_client import ProxyClient
@@ -136,7 +137,7 @@ class Sender:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            is_first = report is reports[0]
+            is_first = report is reports[0] or takes_alarms(report, reports[0], now_s)
             made += announcer.texts(now_s, report, vehicle.armed, is_airborne, is_first)
             again += announcer.repeats(now_s, report, is_first)
         self.announcements.extend((now_s, text) for _, text in made)  # the page keeps all of them
