@@ -260,7 +260,7 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
+        power_W, before = float(true_voltage(installation, sample.voltage_V, current_A)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
         if (
