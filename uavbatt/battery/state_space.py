@@ -24,7 +24,7 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.pack import Installation, c_rate, compensated_voltage, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 
 
@@ -152,4 +152,5 @@ def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Numbe
         bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
-    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)
+    metered_V = metered_voltage(now.installation, true_V + now.installation.cells * bias_V)
+    return compensated_voltage(now.installation, metered_V, current_A)

@@ -89,7 +89,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     if not math.isfinite(temp_C):
         temp_C, temp_sd_K = ROOM_TEMP_C, noise.UNKNOWN_TEMP_SD_K
     rate = float(c_rate(pack.installation, current_A))
-    cell_V = float(true_voltage(pack.installation, sample.voltage_V)) / pack.installation.cells
+    cell_V = float(true_voltage(pack.installation, sample.voltage_V, current_A)) / pack.installation.cells
     first = noise.first_state(pack, cell_V, temp_C, rate)
     x = np.zeros((members.log_scale.size, SIZE))
     x[:, : X.SENSOR + 1] = first.state

@@ -261,7 +261,7 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
+        power_W, before = float(true_voltage(installation, sample.voltage_V, current_A)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
         self._flight = before.after(sample, power_W, rate, is_aloft)
         was_spool_up = self._flight.took_off_s > before.took_off_s and not before.has_carried(power_W, rate)
