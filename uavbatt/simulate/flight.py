@@ -22,10 +22,10 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
 from uavbatt.files import atomic_write
 from uavbatt.records import Sample
+from uavbatt.simulate.dataflash_writer import write_dataflash
 from uavbatt.simulate.route import Autopilot, RouteFlight
-from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
-from uavbatt.telemetry.formats.route_writer import dataflash_records, tlog_messages
-from uavbatt.telemetry.formats.tlog_writer import write_tlog
+from uavbatt.simulate.route_writer import dataflash_records, tlog_messages
+from uavbatt.simulate.tlog_writer import write_tlog
 
 IDLE_S, AFTER_END_S = 20.0, 20.0
 IDLE_SHARE = 0.03
