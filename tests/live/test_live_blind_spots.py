@@ -14,7 +14,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
 SETTINGS = ForecastSettings(forecast_period_s=5.0)
