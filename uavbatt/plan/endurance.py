@@ -15,12 +15,12 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.log_statements import check_statements, size_from_rows
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack, sized
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
-from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt, refuse_certain
@@ -149,7 +149,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
-    charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
+    charge = np.diag([START_SOC_SD**2, pack.spread.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
     return Belief(means, covariances, np.log(members.weight), ambient_C)
