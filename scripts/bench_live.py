@@ -28,7 +28,7 @@ from bench.memory import resident_MB
 
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 VEHICLE, STATION = ("127.0.0.1", 24_651), ("127.0.0.1", 24_650)
 TICKS = os.sysconf("SC_CLK_TCK")

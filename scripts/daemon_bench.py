@@ -14,7 +14,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions(capacity_Ah=5.0, cells=4)
 

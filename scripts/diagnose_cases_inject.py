@@ -137,6 +137,11 @@ def harness(size_ohm: float) -> Change:
     return lambda f: replace(f, voltage_V=f.voltage_V - f.true_A * size_ohm)
 
 
+def sag_compensation(size_ohm: float) -> Change:
+    """Return a change: the autopilot reports the voltage with its own current times `size_ohm` added."""
+    return lambda f: replace(f, voltage_V=f.voltage_V + f.current_A * size_ohm)
+
+
 def fade(share: float) -> Change:
     """Return a change: the pack holds less charge.
 

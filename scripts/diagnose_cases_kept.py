@@ -64,6 +64,7 @@ CASES = (
     Case("temperature_lag", plant.temperature_lag, 120.0, "r0", 2.0),
     Case("current_delay", plant.current_delay, 3.0, "p1", quantity="delay_s"),
     Case("harness_resistance", plant.harness, 0.010, "r0", quantity="harness_ohm"),
+    Case("sag_compensation", plant.sag_compensation, 0.016, "p1", quantity="compensation_ohm"),
     Case("resistance_growth", plant.resistance_growth, 0.25, "p1"),
     Case("capacity_fade", plant.fade, 0.12, "p1", quantity="fade"),
     Case("weak_cell", plant.weak_cell, 0.15, "r0"),

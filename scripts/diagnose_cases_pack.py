@@ -17,7 +17,7 @@ from uavbatt.engine import Engine
 from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.cleaning.plausibility import MAX_CELL_C
+from uavbatt.telemetry.cleaning.readings import MAX_CELL_C
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 

@@ -23,7 +23,7 @@ from uavbatt.live.config import FeedSection
 from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry.link.vehicle import LiveRow, Vehicle
 
 CURRENT_A, VOLTAGE_V = 12.0, 16.0

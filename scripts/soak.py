@@ -22,7 +22,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection, PackSection, RecordSection, StateSection
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 FLIGHT_S, GROUND_S = 900.0, 60.0
 

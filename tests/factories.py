@@ -19,6 +19,11 @@ def generic_pack(cells: int = 4, capacity_Ah: float = 5.0, cutoff_V: float = 13.
     return pack_of(battery_file.read_battery("lipo-generic"), cells, capacity_Ah, cutoff_V, low_V)
 
 
+def with_spread(pack: Pack, **changed: object) -> Pack:
+    """The pack with other standard deviations, by the names of `spreads.Spread`."""
+    return pack._replace(spread=pack.spread._replace(**changed))
+
+
 def generic_estimator(options: PackOptions, period_s: float = 10.0) -> Estimator:
     """An estimator on `lipo-generic` for a stated pack, compiled where it can be; a forecast every `period_s` [s]."""
     settings = ForecastSettings(forecast_period_s=period_s)

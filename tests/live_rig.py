@@ -18,7 +18,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE_S = 60.0  # until a test gives up: a busy machine is late, and late is not wrong

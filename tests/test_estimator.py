@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import random
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -341,3 +343,34 @@ def test_the_outcome_of_a_flight_that_does_not_reach_its_end() -> None:
         list(steps(as_flight(flown()[:120]), Estimator(battery_file.read_battery("lipo-generic"), STATED))), 13.2
     )
     assert math.isnan(found.end_of_flight_s) and found.checkpoints == ()
+
+
+# --- the cost of a row -------------------------------------------------------------------------------------------
+
+
+def calls_of(step: Callable[[], object]) -> int:
+    """How many functions of the package a step calls."""
+    package, found = str(Path(uavbatt.__file__).parent), 0
+
+    def count(frame: FrameType, event: str, _: object) -> None:
+        nonlocal found
+        found += event == "call" and frame.f_code.co_filename.startswith(package)
+
+    sys.setprofile(count)
+    try:
+        step()
+    finally:
+        sys.setprofile(None)
+    return found
+
+
+def test_an_ordinary_row_calls_no_more_functions_than_it_did() -> None:
+    """A row of a steady flight that closes no block and asks for no forecast."""
+    estimator, calls = Estimator(battery_file.read_battery("lpab-3s"), STATED), []
+    for k in range(600):
+        sample = Sample(0.2 * k, 16.4 - 0.001 * k, 14.0 + 0.5 * (k % 3), 25.0 + 0.1 * (k // 100), armed=True)
+        if k < 500:
+            estimator.step(sample)
+        else:
+            calls.append(calls_of(lambda sample=sample: estimator.step(sample)))
+    assert sorted(calls)[len(calls) // 2] <= 103

@@ -54,6 +54,7 @@ class Kind(Enum):
     NO_END = auto()
     FALLS_FASTER = auto()
     ENDS_SOON = auto()
+    MAY_END_SOON = auto()
     ALARM = auto()
     TURN_BACK = auto()
     MAY_NOT_LAND = auto()

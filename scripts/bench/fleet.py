@@ -36,7 +36,7 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
     from uavbatt.battery import battery_file
     from uavbatt.battery.scaling import pack_of
     from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
-    from uavbatt.telemetry.formats.tlog_writer import write_tlog
+    from uavbatt.simulate.tlog_writer import write_tlog
 
     random = np.random.default_rng(seed)
     base = pack_of(battery_file.read_battery("lipo-generic"), 4, 5.0, 13.2, 14.0)

@@ -29,7 +29,7 @@ from uavbatt.mavlink import framing
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status
+from uavbatt.simulate.tlog_writer import battery_status
 
 START_S, WALL_S = 1000.0, 1.7e9  # of the process's clocks at the first row
 PERIOD_S = 5.0  # between forecasts; in flight it is 1 s, which would take four times as long here

@@ -23,7 +23,8 @@ from uavbatt.battery.state_space import X
 from uavbatt.estimation.filter import SocFilter, estimate_of
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import FlightPoint, LoggedLoad, RecentLoad
+from uavbatt.prediction.load import FlightPoint, LoggedLoad
+from uavbatt.prediction.power_history import RecentLoad
 from uavbatt.prediction.sampling import Normals
 from uavbatt.prediction.time_to_end import time_to_end
 

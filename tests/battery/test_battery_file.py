@@ -278,7 +278,7 @@ def test_status_widens_the_belief() -> None:
     fitted = msgspec.structs.replace(
         certified, certificate=msgspec.structs.replace(certified.certificate, status="fitted")
     )
-    sure, unsure = (pack_of(f, 3, 5.0, 9.3, 10.5) for f in (certified, fitted))
+    sure, unsure = (pack_of(f, 3, 5.0, 9.3, 10.5).spread for f in (certified, fitted))
     assert unsure.resistance_scale_sd > sure.resistance_scale_sd
     assert unsure.bias_sd_V > sure.bias_sd_V
 

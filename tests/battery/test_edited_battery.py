@@ -99,7 +99,7 @@ def test_it_widens_at_least_as_fitted(failed: Path) -> None:
         read = battery_file.read_battery(path, allow_uncertified=True)
         as_status = msgspec.structs.replace(read.certificate, status=status)
         pack = pack_of(msgspec.structs.replace(read, certificate=as_status), 3, 5.0, 9.3, 10.5)
-        return pack.resistance_scale_sd, pack.capacity_scale_sd, pack.bias_sd_V
+        return pack.spread.resistance_scale_sd, pack.spread.capacity_scale_sd, pack.spread.bias_sd_V
 
     assert battery_file.read_battery(failed, allow_uncertified=True).status == "edited"
     for edited, fitted in zip(spread("edited", failed), spread("fitted", failed), strict=True):

@@ -6,23 +6,20 @@ import msgspec
 import pytest
 
 from uavbatt.battery.battery_file import BatteryFile, Certificate
-from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.spreads import SERVICE_RESISTANCE_SD
+from uavbatt.battery.spreads import SERVICE_RESISTANCE_SD, Spread, spread_of
 from uavbatt.fitting.generic import generic_lipo
 
-CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 6, 5.7, 21.6, 21.6
 
-
-def pack(flights: int | None, scatter: float, status: str = "fitted") -> Pack:
+def spread(flights: int | None, scatter: float, status: str = "fitted") -> Spread:
     generic = generic_lipo()
     table = msgspec.structs.replace(generic.parameters, resistance_scale_sd=scatter, spread_flights=flights)
     file: BatteryFile = msgspec.structs.replace(generic, parameters=table, certificate=Certificate(status=status))
-    return pack_of(file, CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    return spread_of(file)
 
 
 def test_the_scatter_of_a_fleet_is_taken_as_it_was_measured() -> None:
-    assert pack(20, 0.18).resistance_scale_sd == pytest.approx(0.18)
-    assert pack(20, 0.18).reaction_sd_V < pack(None, 0.18).reaction_sd_V
+    assert spread(20, 0.18).resistance_scale_sd == pytest.approx(0.18)
+    assert spread(20, 0.18).reaction_sd_V < spread(None, 0.18).reaction_sd_V
 
 
 @pytest.mark.parametrize(
@@ -37,6 +34,6 @@ def test_the_scatter_of_a_fleet_is_taken_as_it_was_measured() -> None:
     ids=["bench tests", "few flights", "one pack, often flown", "edited", "certified"],
 )
 def test_elsewhere_packs_in_service_scatter_beside_it(flights: int | None, scatter: float, status: str) -> None:
-    found = pack(flights, scatter, status)
+    found = spread(flights, scatter, status)
     assert found.resistance_scale_sd > max(SERVICE_RESISTANCE_SD, scatter)
-    assert found.reaction_sd_V == pack(None, 0.06).reaction_sd_V
+    assert found.reaction_sd_V == spread(None, 0.06).reaction_sd_V

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from factories import generic_pack
+from factories import generic_pack, with_spread
 
 import uavbatt
 from uavbatt import compiled
@@ -63,7 +63,7 @@ def holed(samples: tuple[Sample, ...]) -> list[Sample]:
 
 def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
     """Row for row: what filterpy's filter shows and believes, and what the twin does, in two goes."""
-    sure = pack._replace(resistance_scale_sd=0.2)
+    sure = with_spread(pack, resistance_scale_sd=0.2)
     for quick, plain in both(sure, known_capacity(sure), samples):
         np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=0.0, atol=QUOTIENT_CLOSE)
         assert (quick.belief is None) == (plain.belief is None)

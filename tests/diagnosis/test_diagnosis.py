@@ -85,6 +85,14 @@ def test_a_late_current_is_told_from_a_resistance() -> None:
     assert interval.lo <= 4.0 <= interval.hi
 
 
+def test_a_voltage_corrected_for_the_load_is_named_with_its_resistance() -> None:
+    records = [replace(r, voltage_V=r.voltage_V + 0.02 * r.current_A) for r in flights()]
+    diagnosis = found(records)
+    assert diagnosis.verdict == "effect_found" and diagnosis.classes[0].members[0] == "sag_compensation"
+    interval = diagnosis.classes[0].parameters["compensation_ohm"]
+    assert interval.lo <= 0.02 <= interval.hi
+
+
 @pytest.mark.slow
 def test_order_and_names_of_the_files_do_not_matter() -> None:
     records = flights(len(MISSIONS), gain=1.15)

@@ -7,6 +7,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery.model import Array, open_circuit_voltage, transfer_drop, under_power
+from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import Pack
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.records import Sample
@@ -32,6 +33,18 @@ def test_a_known_delay_between_voltage_and_current_costs_nothing(delay_s: float)
     skewed = simulate_flight(pack(current_delay=delay_s), mission)
     assert np.std(innovations(pack(), skewed)) > 1.3 * straight
     assert np.std(innovations(pack(current_delay=delay_s), skewed)) < 1.1 * straight
+
+
+def test_a_known_compensation_of_sag_costs_nothing() -> None:
+    """An autopilot that adds I·R to the voltage it reports: the filter takes it off, the power is that of the pack."""
+    mission = SimulatedFlight(250.0, rate_Hz=1.0, seed=4)
+    straight = np.std(innovations(pack(), simulate_flight(pack(), mission)))
+    lifted = simulate_flight(pack(sag_compensation=0.03), mission)
+    assert np.std(innovations(pack(), lifted)) > 1.3 * straight
+    assert np.std(innovations(pack(sag_compensation=0.03), lifted)) < 1.1 * straight
+    sample = lifted[len(lifted) // 2]
+    believed_W = true_power(pack(sag_compensation=0.03).installation, sample.voltage_V, sample.current_A)
+    assert believed_W == pytest.approx((sample.voltage_V - 0.03 * sample.current_A) * sample.current_A)
 
 
 def test_hysteresis_is_away_at_full_and_whole_on_the_way_down() -> None:

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from factories import generic_pack as pack
+from factories import with_spread
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,7 +42,8 @@ def with_plain_noise(patch: pytest.MonkeyPatch) -> None:
 
 def known_pack() -> Pack:
     """The generic cell in a pack that scatters little, so that the filter's linearisation is good."""
-    return pack()._replace(
+    return with_spread(
+        pack(),
         resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, reaction_sd_V=0.005,
         ocv_sd_V=np.zeros(SOC_GRID.size), ocv_drift_sd_V=np.zeros(SOC_GRID.size),
         temperature_sd_K=0.4, empty_soc_sd=0.0,
@@ -77,7 +79,7 @@ class ClosedForm:
             X.DIFFUSION: math.exp(-dt_s / made.cell.diffusion_tau_s),
             X.CORE: math.exp(-dt_s * made.cell.cooling_WpKAh / made.cell.heat_capacity_JpKAh),
             X.SENSOR: math.exp(-dt_s / made.cell.sensor_lag_s),
-            X.BIAS: math.exp(-dt_s / made.bias_tau_s),
+            X.BIAS: math.exp(-dt_s / made.spread.bias_tau_s),
         }
         F = np.eye(SIZE)
         for component, factor in keep.items():
@@ -161,7 +163,7 @@ def own_flight(seed: int, rows: int, made: Pack) -> tuple[list[Estimate], list[f
         mean_A = 0.5 * (before_A + current_A)
         x = b.transition(made, x, mean_A, belief.ambient_C, DT_S) + WALK * math.sqrt(DT_S) * rng.standard_normal(SIZE)
         volts = float(b.voltage(made, x, current_A)) + 4 * READING_SD_V * rng.standard_normal()
-        temp_C = float(x[X.SENSOR]) + made.temperature_sd_K * rng.standard_normal()
+        temp_C = float(x[X.SENSOR]) + made.spread.temperature_sd_K * rng.standard_normal()
         estimates.append(ours.step(Sample(k * DT_S, volts, current_A, temp_C)))
         truth.append(float(x[X.SOC]))
         before_A = current_A

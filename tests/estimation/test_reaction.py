@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from factories import generic_pack
+from factories import generic_pack, with_spread
 
 from uavbatt.battery.model import SOC_GRID, transfer_drop
 from uavbatt.battery.pack import c_rate
@@ -21,7 +21,8 @@ HALF_TIME_S = 420.0
 
 def flown(until_s: float, effects: dict[str, float]) -> Belief:
     """What is believed `until_s` after the start of a flight of a pack with these effects, by a file of its make."""
-    tested = generic_pack()._replace(
+    tested = with_spread(
+        generic_pack(),
         resistance_scale_sd=0.2, capacity_scale_sd=0.1, bias_sd_V=0.015, bias_tau_s=2000.0, reaction_sd_V=0.05,
         ocv_drift_sd_V=np.zeros(SOC_GRID.size),
     )  # fmt: skip
@@ -52,8 +53,8 @@ def test_reaction_and_lost_charge_are_told_apart_by_half_time(effects: dict[str,
 
 def test_the_block_in_which_the_motors_start_does_not_speak_against_a_reaction() -> None:
     """A reaction's drop saturates: at the mean current of idling and hovering it is not the mean of the two drops."""
-    pack, idle_A, hover_A = generic_pack()._replace(reaction_sd_V=0.05), 0.3, 12.0
-    sluggish = pack.cell._replace(transfer_V=pack.reaction_sd_V)
+    pack, idle_A, hover_A = with_spread(generic_pack(), reaction_sd_V=0.05), 0.3, 12.0
+    sluggish = pack.cell._replace(transfer_V=pack.spread.reaction_sd_V)
     idle_V, mean_V, hover_V = (
         float(transfer_drop(sluggish, c_rate(pack.installation, amps)))
         for amps in (idle_A, 0.5 * (idle_A + hover_A), hover_A)

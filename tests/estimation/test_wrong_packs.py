@@ -209,7 +209,9 @@ def test_what_changes_of_a_fitted_curves_error_is_what_the_flight_doubts(make: M
     made = pack_of(wrong_judged.battery(FITTED, make), CELLS, FULL_AH, CUTOFF_V, math.nan)
     soc = np.linspace(0.2, 0.9, 15)
     error_V = model.open_circuit_voltage(made.cell, soc) - np.interp(soc, SOC, make.ocv_V)
-    stated_V, doubted_V = (np.interp(soc, model.SOC_GRID, sd) for sd in (made.ocv_sd_V, made.ocv_drift_sd_V))
+    stated_V, doubted_V = (
+        np.interp(soc, model.SOC_GRID, sd) for sd in (made.spread.ocv_sd_V, made.spread.ocv_drift_sd_V)
+    )
     assert 0.3 * np.mean(doubted_V) < np.std(error_V) < 1.5 * np.mean(doubted_V) < 0.75 * np.mean(stated_V)
 
 

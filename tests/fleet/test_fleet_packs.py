@@ -24,7 +24,7 @@ from uavbatt.fleet import run
 from uavbatt.fleet.errand import Errand
 from uavbatt.packs.ledger import Ledger
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
-from uavbatt.telemetry.formats.tlog_writer import write_tlog
+from uavbatt.simulate.tlog_writer import write_tlog
 
 FIRST_US, DAY_US = 1_790_000_000_000_000, 86_400_000_000
 WHOLE = 5.0

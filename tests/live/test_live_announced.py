@@ -31,7 +31,7 @@ from uavbatt.prediction import forecaster, voltage_bound
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import ENDS_SOON
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 TWO_SENDERS = Notice("two senders speak for this battery", Kind.TWO_SENDERS)
 SILENT = Notice("no telemetry for 4 s", Kind.NO_TELEMETRY)

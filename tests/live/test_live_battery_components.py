@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.errors import BadInput
 from uavbatt.live.config import FeedSection, RecordSection
 from uavbatt.records import Flight, Sample, Status
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat, sys_status
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat, sys_status
 
 BATTERY, GIMBAL = 36, 26
 LOWER_V = 3.0  # of the voltages of batteries that are not the aircraft's own

@@ -21,9 +21,9 @@ from uavbatt.log_replay.run import steps
 from uavbatt.mavlink import framing
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.recording import forecast_period_s
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 
 def test_a_flight_reaches_every_feed() -> None:

@@ -29,8 +29,8 @@ from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
 SELDOM = ForecastSettings(forecast_period_s=30.0)  # most of the work is forecasts, and these facts need few

@@ -28,8 +28,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.live.config import HttpSection
 from uavbatt.live.web import serve
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
 GCS_PYTHON = os.environ.get("UAVBATT_GCS_PYTHON", sys.executable)

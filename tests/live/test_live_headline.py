@@ -19,7 +19,7 @@ from uavbatt.live.web import content
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 
 def report(instance: int, left_s: float, amps: float = 12.0, at_s: float = 0.0, flying_s: float = 0.0) -> Report:

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.web import content
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 
 def fly(bench: Bench, seconds: float, late_s: float = 0.0) -> None:

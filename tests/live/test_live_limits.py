@@ -20,8 +20,8 @@ from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.links import MOST_PEERS, open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 SELDOM = ForecastSettings(forecast_period_s=30.0)  # what is recorded does not hang on forecasts
 

@@ -19,7 +19,7 @@ from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger, prior
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status
+from uavbatt.simulate.tlog_writer import battery_status
 
 FLOWN = 120  # rows before the crash
 

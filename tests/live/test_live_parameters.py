@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection, RecordSection
 from uavbatt.records import Sample
+from uavbatt.simulate.dataflash_writer import write_dataflash
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions()
 

@@ -20,8 +20,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.cli import live_process
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status
 
 
 def is_timed(message: Any) -> bool:

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.live import clock, proxy, rewriter
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 
 def framed(message: Any) -> bytes:

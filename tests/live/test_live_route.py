@@ -19,8 +19,8 @@ from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.mavlink.framing import header
 from uavbatt.navigation import Navigation
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry.link.reader import LiveReader
 
 ITEMS = [(0, 16, 47.0, 400.0), (3, 22, 47.0, 40.0), (3, 16, 47.002, 40.0), (3, 20, 0.0, 0.0)]

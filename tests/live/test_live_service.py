@@ -25,7 +25,7 @@ from uavbatt.live.recorder import Recorder
 from uavbatt.live.web import serve
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 FILE_SIZE = resource.RLIMIT_FSIZE
 

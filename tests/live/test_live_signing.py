@@ -11,7 +11,7 @@ from daemon_bench import Bench
 from uavbatt.live.config import FeedSection, LinkSection
 from uavbatt.live.web import content
 from uavbatt.records import Sample
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
 

@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import RecordSection
 from uavbatt.records import Sample, Status
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat, sys_status
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog import read_tlog
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat, sys_status
 
 
 def row(drawn_Ah: float) -> Sample:

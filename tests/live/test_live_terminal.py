@@ -13,7 +13,7 @@ from live_rig import PATIENCE_S, PROGRAM, ROOT, Pty, Station, Vehicle, free_port
 
 from uavbatt.live.log import tell
 from uavbatt.mavlink.links import open_link
-from uavbatt.telemetry.formats.tlog_writer import heartbeat
+from uavbatt.simulate.tlog_writer import heartbeat
 
 
 @pytest.fixture

@@ -26,8 +26,8 @@ from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 
 def capacity(mAh: float) -> Any:

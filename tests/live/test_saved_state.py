@@ -22,7 +22,7 @@ from uavbatt.battery.state_space import SIZE, X
 from uavbatt.live.config import LinkSection, StateSection
 from uavbatt.live.saved import implausible_belief
 from uavbatt.records import Estimate
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
 FLOWN = 120  # rows before the crash
 SILENT_S = 1.0

@@ -19,11 +19,12 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing import PackOptions, sized
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan.endurance import TABLE_C, Endurance, TakeOff, endurance, make_plan, resolve
+from uavbatt.plan.endurance import TABLE_C, Endurance, TakeOff, endurance, make_plan, resolve, rested
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.prediction.take_off import FromTakeOff
@@ -257,3 +258,14 @@ def test_no_headline_where_the_file_knows_nothing(tmp_path: Path) -> None:
 def test_a_pack_that_sags_under_the_motors_is_said_to_do_that() -> None:
     assert planned(1600.0, -20.0, 0.3).remark == "the pack sags below its cut-off when the motors start"
     assert planned(250.0, 20.0, 0.0).remark == "the pack is at its cut-off or its reserve before take-off"
+
+
+def test_a_flight_ends_before_take_off_by_the_rule_in_flight() -> None:
+    """Where the cut-off lies below the curve, the charge ends the flight: the plan was stricter than the flight."""
+    content = battery_file.read_battery("lipo-generic")
+    size = resolve(content, replace(OPTIONS, cutoff_V=11.2))
+    load = ConstantLoad(250.0, 0.04)
+    pack = sized(content, size)
+    in_flight = Forecaster(pack, ForecastSettings(load)).forecast(rested(pack, 1.0, 20.0), 0.0)
+    found = endurance(content, size, load, TakeOff(20.0))
+    assert in_flight is not None and found.median_s == in_flight.median_s and found.hi_s == in_flight.hi_s

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from factories import generic_pack
+from factories import generic_pack, with_spread
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,7 +60,7 @@ def plain_pack(ocv_V: Array, r0_ohmAh: float = 1e-9) -> Pack:
     """A pack of 4 cells of 5 Ah with this OCV on the grid, hardly any resistance and no model error."""
     cell = Parameters(ocv_V=ocv_V, r0_ohmAh=np.full(SOC_GRID.size, r0_ohmAh))
     known_V = np.zeros(SOC_GRID.size)
-    sure = pack()._replace(bias_sd_V=1e-9, ocv_sd_V=known_V, ocv_drift_sd_V=known_V)
+    sure = with_spread(pack(), bias_sd_V=1e-9, ocv_sd_V=known_V, ocv_drift_sd_V=known_V)
     return sure._replace(cell=cell, installation=Installation(4, 5.0), low_V=NAN)
 
 
@@ -126,7 +126,7 @@ def test_a_sinking_voltage_ends_it_sooner_than_charge_counting_says() -> None:
 def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> None:
     """The forecast's own steps against steps of half a second."""
     now = belief(0.95, temp_C, exact=True)
-    found, steps = forecast(pack()._replace(bias_sd_V=1e-9), now, power_W), 12000
+    found, steps = forecast(with_spread(pack(), bias_sd_V=1e-9), now, power_W), 12000
     flying = Flying(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
     fine = time_to_end(flying, sampling.Normals(np.zeros((steps, 1)), np.empty((0, 1))))
     assert found.median_s == pytest.approx(float(fine.end_s[0]), rel=0.003)
@@ -203,10 +203,10 @@ def test_a_reserve_ends_it_sooner() -> None:
 
 def test_a_pack_without_charge_is_empty_however_low_its_cutoff_is() -> None:
     """The curve goes on below a charge of 0: a pack with a cut-off of 2.8 V a cell flew on it for minutes."""
-    low = pack()._replace(cutoff_V=11.2, empty_soc_sd=0.0)
+    low = with_spread(pack()._replace(cutoff_V=11.2), empty_soc_sd=0.0)
     left_s = 0.05 * 5.0 * 4 * 3.5 * 3600.0 / 100.0  # of the last twentieth of the charge
     assert forecast(low, belief(0.05, exact=True), 100.0).hi_s < 1.2 * left_s
-    untested = low._replace(empty_soc_sd=0.05)  # it is not known what the make holds below
+    untested = with_spread(low, empty_soc_sd=0.05)  # it is not known what the make holds below
     lo_s, hi_s = (getattr(forecast(untested, belief(0.05, exact=True), 100.0), point) for point in ("lo_s", "hi_s"))
     assert 0.8 * left_s < lo_s < 1.2 * left_s and hi_s > 1.6 * left_s
 
@@ -232,8 +232,8 @@ def test_load_scatter_widens() -> None:
 def test_what_is_unknown_of_the_pack_widens() -> None:
     sure, unsure = (forecast(pack(), belief(soc_sd=sd)) for sd in (0.01, 0.06))
     assert width(unsure) > 1.3 * width(sure)
-    model_error = pack()._replace(bias_sd_V=0.08)
-    assert width(forecast(model_error, belief())) > 1.05 * width(forecast(pack()._replace(bias_sd_V=0.005), belief()))
+    unsure, sure = with_spread(pack(), bias_sd_V=0.08), with_spread(pack(), bias_sd_V=0.005)
+    assert width(forecast(unsure, belief())) > 1.05 * width(forecast(sure, belief()))
 
 
 def test_the_same_belief_gives_the_same_forecast() -> None:

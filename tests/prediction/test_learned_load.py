@@ -13,7 +13,7 @@ from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import FlightPoint, Load, RecentLoad, Scenarios, equal_levels
+from uavbatt.prediction.load import FlightPoint, Load, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
@@ -24,7 +24,7 @@ from uavbatt.prediction.load_library import (
     UnknownAircraft,
     learned_load,
 )
-from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory
+from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
 
 STEP_S = 5.0
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
-from factories import generic_pack
+from factories import generic_pack, with_spread
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery import battery_file
@@ -113,7 +113,7 @@ def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
 def test_a_way_home_that_empties_the_pack_is_no_way_home_however_low_the_cut_off_is() -> None:
     """With 2.8 V a cell the way home went on below a charge of 0: the turn-back came 10 to 30 s late."""
     waiting = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0))
-    pack = generic_pack()._replace(empty_soc_sd=0.0)  # a make that was tested
+    pack = with_spread(generic_pack(), empty_soc_sd=0.0)  # a make that was tested
 
     def turn_back_with(cutoff_V: float) -> float:
         forecaster = Forecaster(pack._replace(cutoff_V=cutoff_V), ForecastSettings(ConstantLoad(180.0, 0.04)))

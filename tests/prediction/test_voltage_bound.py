@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import pytest
 from factories import generic_pack
 
-from uavbatt.prediction.voltage_bound import SURE_LOOKS, Fall, VoltageBound
+from uavbatt.prediction import voltage_bound
+from uavbatt.prediction.voltage_bound import SURE_LOOKS, VoltageBound
 from uavbatt.records import Sample
 
 
@@ -52,6 +53,6 @@ def test_only_a_near_end_stands_where_a_look_cannot_tell(
     ahead_s: float, said_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After a climb at 6 °C an end 150 s ahead was counted down to 35 s, with 680 s left."""
-    monkeypatch.setattr(Fall, "time_left_s", lambda *_: math.nan)
+    monkeypatch.setattr(voltage_bound, "fall_left_s", lambda *_: math.nan)
     before = VoltageBound(ends_s=(100.0 + ahead_s,) * SURE_LOOKS)
     assert before.after(Sample(100.0, 14.0, 20.0), None, generic_pack(), 0.0).left_s(100.0) == said_s

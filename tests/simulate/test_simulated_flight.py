@@ -91,6 +91,16 @@ def test_effects_of_sensors_are_read_and_no_more(effect: str, value: float, fiel
     assert column(tuple(struck[30:rows]), field) - column(flown()[30:rows], field) == pytest.approx(change, abs=1e-9)
 
 
+def test_a_compensation_of_sag_is_read_and_does_not_lengthen_the_flight() -> None:
+    struck = simulate_flight(
+        with_effects(pack(), {"sag_compensation": 0.02}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1)
+    )
+    rows = min(len(struck), len(flown()))
+    assert abs(struck[-1].time_s - flown()[-1].time_s) < 1.0
+    lift_V = column(tuple(struck[30:rows]), "voltage_V") - column(flown()[30:rows], "voltage_V")
+    assert lift_V == pytest.approx(0.02 * column(flown()[30:rows], "current_A"), abs=0.02)  # 1 A of noise
+
+
 def test_current_gain_is_read() -> None:
     struck = simulate_flight(with_effects(pack(), {"current_gain": 1.2}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1))
     ratio = column(tuple(struck[30:400]), "current_A") / column(flown()[30:400], "current_A")

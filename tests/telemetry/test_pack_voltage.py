@@ -14,9 +14,9 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.fields import BatteryFields
 from uavbatt.records import Sample
+from uavbatt.simulate.tlog_writer import battery_status, heartbeat, sys_status
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages
-from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat, sys_status
 
 
 def told(cells: tuple[float, ...]) -> BatteryFields:

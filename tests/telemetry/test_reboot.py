@@ -14,8 +14,8 @@ from scoring.other_pack import Pack, flown, rested
 from scoring.scenarios import STATED
 
 from uavbatt.records import Sample
+from uavbatt.simulate.dataflash_writer import write_dataflash
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
 
 
 def logged(path: Path, *boots: list[Sample]) -> tuple[Sample, ...]:

@@ -17,10 +17,10 @@ from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.records import Flight, PackFacts, Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
-from uavbatt.telemetry.cleaning.plausibility import plausible_temperature_C, sag_correlation, temperature_verdict
+from uavbatt.telemetry.cleaning.readings import plausible_temperature_C
 from uavbatt.telemetry.identity import gps_utc_s
 from uavbatt.telemetry.quality.drawn import loaded_A
-from uavbatt.telemetry.quality.info import describe, lines
+from uavbatt.telemetry.quality.info import describe, lines, sag_correlation, temperature_verdict
 
 
 @pytest.mark.parametrize("name", ["a.tlog", "a.BIN", "a.log", "a.csv", "a.ulg", "a"])

@@ -72,6 +72,13 @@ def test_where_only_one_sample_scatters_at_all_nothing_is_said() -> None:
     assert not [f for f in inconsistencies(levels(values)) if f.kind == "scatter"]
 
 
+def test_means_that_are_equal_by_the_resolution_of_the_meter_make_no_outlier_of_the_fourth() -> None:
+    values = drawn(3)
+    values[:, :, 4] = np.tile([15.0, 15.02, 15.0, 15.02, 15.0, 15.02], (4, 1)).T
+    values[0, 1, 4] += 0.02
+    assert not [f for f in inconsistencies(levels(values)) if f.kind == "mean" and 4 in f.instants]
+
+
 def test_the_study_has_no_inconsistent_sample() -> None:
     found = findings(read_once(dataset.load()), 25.0, None)
     assert not [f for f in found if f.kind.startswith("inconsistent")]

@@ -48,15 +48,15 @@ class Capacities(NamedTuple):
 
 
 def capacities(pack: Pack) -> Capacities:
-    """Return the prior of an unmeasured pack; `pack.capacity_scale_sd` widens it."""
-    is_known = pack.capacity_short_sd == 0.0  # the make was measured
+    """Return the prior of an unmeasured pack; `pack.spread.capacity_scale_sd` widens it."""
+    is_known = pack.spread.capacity_short_sd == 0.0  # the make was measured
     prior, overlap = (PRIOR, OVERLAP) if is_known else (UNKNOWN_MAKE_PRIOR, UNKNOWN_MAKE_OVERLAP)
-    widest = math.hypot(prior[1][2], pack.capacity_scale_sd)
+    widest = math.hypot(prior[1][2], pack.spread.capacity_scale_sd)
     scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
     weight = np.zeros(MEMBERS)
     for share, mean, own_sd in prior:
-        above = max(math.hypot(own_sd, pack.capacity_scale_sd), SHARPEST)
-        short_sd = pack.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
+        above = max(math.hypot(own_sd, pack.spread.capacity_scale_sd), SHARPEST)
+        short_sd = pack.spread.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
         sd = np.where(scale > mean, above, math.hypot(above, short_sd))
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
     weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
@@ -67,11 +67,11 @@ def capacities(pack: Pack) -> Capacities:
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
         np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
         np.zeros(every.size) if is_known else every,
-        np.full(every.size, pack.resistance_scale_sd),
+        np.full(every.size, pack.spread.resistance_scale_sd),
     )
 
 
 def known_capacity(pack: Pack) -> Capacities:
     """Return one member around the stated capacity, for a measured pack."""
-    capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
+    capacity_sd, resistance_sd = np.full(1, pack.spread.capacity_scale_sd), np.full(1, pack.spread.resistance_scale_sd)
     return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)

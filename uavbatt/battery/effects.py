@@ -177,6 +177,12 @@ INSTALLATION_EFFECTS = (
         (Quantity("offset_V", "V", 0.0, -1.0, 1.0, 0.0, 0.1),),
     ),
     Effect(
+        "sag_compensation",
+        "the autopilot adds current times a resistance to the voltage that it reports",
+        "installation",
+        (Quantity("compensation_ohm", "ohm", 0.0, 0.0, 0.2, 0.0, 0.02),),
+    ),
+    Effect(
         "temperature_offset",
         "the temperature sensor adds a constant",
         "installation",

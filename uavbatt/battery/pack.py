@@ -3,7 +3,7 @@
     I_true = (I_meas - offset)/gain + P_unmetered/V_meas
     c      = I_true / (Q (1 - fade))
     r      = r_type (1 + growth)
-    V_meas = gain_V ((n-1) V(soc) + V(soc_weak) - I_true R_harness) + offset_V
+    V_meas = gain_V ((n-1) V(soc) + V(soc_weak) - I_true R_harness) + offset_V + I_true R_compensation
 
 Charge is normalised by the pack's present capacity: a faded pack draws a higher C-rate at the same current, so that
 it also shows more ohms (the ohm·Ah stay).
@@ -19,6 +19,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Parameters, State
 
 FULL_CELL_V = 4.0  # of a cell; the mean of a gentle discharge is less
+TYPICAL_C_RATE, TYPICAL_CELL_V = 2.5, 3.8  # hovers of 12 to 30 minutes draw 2 to 4 C; mean voltage of a cell on the way
 
 
 class Installation(NamedTuple):
@@ -35,6 +36,7 @@ class Installation(NamedTuple):
     unmetered_W: Number = 0.0
     gain_V: Number = 1.0
     offset_V: Number = 0.0
+    compensation_ohm: Number = 0.0  # what is reported is the voltage with I·R of this resistance added
     offset_K: Number = 0.0
     delay_s: Number = 0.0  # the current is reported this much later than the voltage
     start_soc_shift: Number = 0.0  # true charge at the start less the one believed
@@ -48,6 +50,11 @@ class Installation(NamedTuple):
 def most_energy_Wh(pack: Installation) -> Number:
     """Return an upper bound of the energy of a full pack [Wh]: every cell at FULL_CELL_V to the end."""
     return pack.present_capacity_Ah * pack.cells * FULL_CELL_V
+
+
+def typical_power_W(cells: int, capacity_Ah: float) -> float:
+    """Return the power [W] that a typical multirotor draws from a pack of `cells` in series and `capacity_Ah` [Ah]."""
+    return TYPICAL_C_RATE * capacity_Ah * cells * TYPICAL_CELL_V
 
 
 def true_current(pack: Installation, current_A: Number, voltage_V: Number) -> Number:
@@ -100,15 +107,24 @@ def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Num
 
 
 def metered_voltage(pack: Installation, true_V: Number) -> Number:
-    """Return the voltage that the sensor reports [V]."""
+    """Return the voltage that the sensor reads [V]; an end of flight is judged by it."""
     return pack.gain_V * true_V + pack.offset_V
 
 
-def true_voltage(pack: Installation, voltage_V: Number) -> Number:
-    """Return the voltage at the sensor's place [V] from the metered one [V]: `metered_voltage` backwards."""
-    return (voltage_V - pack.offset_V) / pack.gain_V
+def compensated_voltage(pack: Installation, metered_V: Number, current_A: Number) -> Number:
+    """Return the voltage that the telemetry reports [V]: the metered one, with the sag of a true current [A] added."""
+    return metered_V + pack.compensation_ohm * current_A
+
+
+def true_voltage(pack: Installation, voltage_V: Number, current_A: Number) -> Number:
+    """Return the voltage at the sensor's place [V] from the reported one [V] under a true current [A].
+
+    It is `metered_voltage` and `compensated_voltage` backwards.
+    """
+    return (voltage_V - pack.compensation_ohm * current_A - pack.offset_V) / pack.gain_V
 
 
 def true_power(pack: Installation, voltage_V: Number, current_A: Number) -> Number:
-    """Return the power that leaves the pack [W] from metered voltage [V] and current [A]."""
-    return true_voltage(pack, voltage_V) * true_current(pack, current_A, voltage_V)
+    """Return the power that leaves the pack [W] from reported voltage [V] and current [A]."""
+    drawn_A = true_current(pack, current_A, voltage_V)
+    return true_voltage(pack, voltage_V, drawn_A) * drawn_A

@@ -112,7 +112,7 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
         return pack
     return pack._replace(
         cell=pack.cell._replace(transfer_V=_reacting_V(pack, float(scales_of(pack, health).mean[0]))),
-        reaction_sd_V=REMEMBERED_REACTION_SD_V,
+        spread=pack.spread._replace(reaction_sd_V=REMEMBERED_REACTION_SD_V),
     )
 
 
@@ -165,7 +165,7 @@ def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
         sd=np.array([capacity_sd]),
         weight=np.array([CHANGED_WEIGHT]),
         log_resistance=np.array([log_resistance]),
-        resistance_sd=np.array([math.hypot(resistance_sd, pack.resistance_scale_sd)]),
+        resistance_sd=np.array([math.hypot(resistance_sd, pack.spread.resistance_scale_sd)]),
     )
     stranger = capacities(pack)
     return _together(core, changed, stranger._replace(weight=ANY_WEIGHT * stranger.weight))

@@ -1,4 +1,4 @@
-"""Standard deviations by which a pack in service may differ from its battery file, for `scaling.Pack`.
+"""Standard deviations by which a pack in service may differ from its battery file.
 
 A pack in service is not the tested pack, and an untested make is no pack that anybody tested. What a file states of its
 own error is widened by its status, and the numbers of `TESTED_MAKE` or `UNKNOWN_MAKE` are added.
@@ -28,8 +28,36 @@ SERVICE_RESISTANCE_SD = 0.15  # contacts and leads of a pack in service; what ag
 FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
 
 
+# Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
+# the row before. On flights with a row every 12 s it was 14 mV, and 10 mohm times the change, for a pack of 90 mohm.
+ROW_SHARE = 0.12  # part of a change of current between rows that a row's voltage does not show
+
+
+class Spread(NamedTuple):
+    """Spread holds by how much a pack and its readings may differ from what its battery file says.
+
+    Standard deviations are of one cell; those of resistance and capacity are of ln of the scale.
+    """
+
+    resistance_scale_sd: float
+    capacity_scale_sd: float
+    capacity_short_sd: float  # added for less than is stated: few packs hold more than is printed
+    bias_sd_V: float  # discrepancy of the model
+    bias_tau_s: float
+    reaction_sd_V: float  # of the drop that its electrodes take beyond those of its type at a large load
+    ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off
+    ocv_drift_sd_V: Array  # the part of it that changes with the charge
+    temperature_sd_K: float
+    drop_share: float  # relative error of the drop under load, from reading to reading
+    lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
+    rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
+    evidence_share: float  # share of a reading that counts when capacities are compared
+    empty_soc_sd: float  # of the charge left at the knee, as a share of the charge drawn by then
+    guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
+
+
 class MakeSpread(NamedTuple):
-    """MakeSpread holds what is added to the error that a file states of itself; the fields are those of `Pack`.
+    """MakeSpread holds what is added to the error that a file states of itself; the fields are those of `Spread`.
 
     stated_share : the share of the stated discrepancy that is the model's own.
     """
@@ -79,43 +107,58 @@ UNKNOWN_MAKE = MakeSpread(
 )
 
 
-def make_spread(file: BatteryFile) -> MakeSpread:
-    """Return the spread of the file's make: a generic file is of no make in particular."""
-    return UNKNOWN_MAKE if file.status == "generic" else TESTED_MAKE
+def spread_of(file: BatteryFile) -> Spread:
+    """Return the spread of packs in service of the file's type; a generic file is of no make in particular."""
+    make = UNKNOWN_MAKE if file.status == "generic" else TESTED_MAKE
+    resistance_scale_sd, reaction_sd_V = _resistance_spread(file, make)
+    ocv_sd_V = _ocv_sd_V(file)
+    return Spread(
+        resistance_scale_sd=resistance_scale_sd,
+        capacity_scale_sd=file.parameters.capacity_scale_sd * WIDENING[file.status],
+        capacity_short_sd=make.capacity_short_sd,
+        bias_sd_V=math.hypot(_stated_sd_V(file) * make.stated_share, make.bias_sd_V),
+        bias_tau_s=max(file.discrepancy.voltage_autocorrelation_s, make.bias_tau_s),
+        reaction_sd_V=reaction_sd_V,
+        ocv_sd_V=ocv_sd_V,
+        ocv_drift_sd_V=_ocv_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
+        temperature_sd_K=max(file.discrepancy.temperature_rmse_K, 0.2),
+        drop_share=make.drop_share,
+        lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
+        rested_share=make.rested_share,
+        evidence_share=make.evidence_share,
+        empty_soc_sd=make.empty_soc_sd,
+    )
 
 
-def stated_sd_V(file: BatteryFile) -> float:
+def _stated_sd_V(file: BatteryFile) -> float:
     """Return the error of the model per cell that the file states [V], widened by its status."""
-    cell_V = max(file.discrepancy.voltage_rmse_V / file.battery.cells_series, 1e-3)
-    return cell_V * WIDENING[file.status] * make_spread(file).stated_share
+    return max(file.discrepancy.voltage_rmse_V / file.battery.cells_series, 1e-3) * WIDENING[file.status]
 
 
-def resistance_spread(file: BatteryFile) -> tuple[float, float]:
+def _resistance_spread(file: BatteryFile, make: MakeSpread) -> tuple[float, float]:
     """Return the sds of ln of the resistance scale and of the reaction's drop [V] over packs in service."""
     table = file.parameters
     has_fleet = (table.spread_flights or 0) >= FLEET_FLIGHTS and table.resistance_scale_sd >= FLEET_RESISTANCE_SD
     if file.status == "fitted" and has_fleet:
         return table.resistance_scale_sd, FLEET_REACTION_SD_V
     scale_sd = math.hypot(table.resistance_scale_sd * WIDENING[file.status], SERVICE_RESISTANCE_SD)
-    return scale_sd, make_spread(file).reaction_sd_V
+    return scale_sd, make.reaction_sd_V
 
 
-def ocv_sd_V(file: BatteryFile) -> Array:
+def _ocv_sd_V(file: BatteryFile) -> Array:
     """Return the standard error of the OCV [V] on SOC_GRID, from those of its knots; 0 where none is stated."""
     table = file.parameters
     errors = [table.standard_error.get(f"ocv_{soc:g}", 0.0) for soc in table.ocv_soc]
     return np.asarray(np.interp(SOC_GRID, np.array(table.ocv_soc), np.array(errors)))
 
 
-def ocv_drift_sd_V(file: BatteryFile) -> Array:
-    """Return the part of `ocv_sd_V` that differs between charges; at least ALONE_SHARE of it."""
-    stated_V = ocv_sd_V(file)
+def _ocv_drift_sd_V(stated_V: Array, alone_share: float) -> Array:
+    """Return the part of the OCV's standard error [V] that differs between charges; at least `alone_share` of it."""
     alike_V2 = np.median(stated_V) ** 2
-    alone_V2 = (ALONE_SHARE.get(file.status, 1.0) * stated_V) ** 2
-    return np.asarray(np.sqrt(np.maximum(stated_V**2 - alike_V2, alone_V2)))
+    return np.asarray(np.sqrt(np.maximum(stated_V**2 - alike_V2, (alone_share * stated_V) ** 2)))
 
 
-def lag_share(file: BatteryFile, quantity: str) -> float:
+def _lag_share(file: BatteryFile, quantity: str) -> float:
     """Return the relative error of an effect's quantity, 0.1 to 0.8: its own part, not what it shares with others."""
     share = ALONE_SHARE.get(file.status, 1.0)
     for entry in file.effects:

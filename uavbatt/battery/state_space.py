@@ -24,7 +24,7 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.pack import Installation, c_rate, compensated_voltage, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 
 
@@ -112,13 +112,13 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
     out = x.copy()
     out[X.SOC], out[X.POLARISATION], out[X.DIFFUSION] = later.soc, later.polarisation_V, later.diffusion_V
     out[X.CORE], out[X.SENSOR] = later.core_C, later.sensor_C
-    out[X.BIAS] = eq.relax(x[X.BIAS], 0.0, dt_s, pack.bias_tau_s)
+    out[X.BIAS] = eq.relax(x[X.BIAS], 0.0, dt_s, pack.spread.bias_tau_s)
     return out
 
 
 def bias_variance(pack: Pack, dt_s: Number) -> Number:
     """Return the variance [V²] that the discrepancy gains in `dt_s` [s] (Ornstein-Uhlenbeck)."""
-    return pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
+    return pack.spread.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.spread.bias_tau_s)
 
 
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
@@ -127,7 +127,7 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     The error of the file's open-circuit voltage depends on the charge: over a change of the charge by DOUBT_LENGTH the
     part of it that changes at all becomes independent.
     """
-    return drift_variance(at_charge(pack.ocv_drift_sd_V, soc), drained)
+    return drift_variance(at_charge(pack.spread.ocv_drift_sd_V, soc), drained)
 
 
 def at_charge(table: Array, soc: Number) -> Number:
@@ -152,4 +152,5 @@ def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Numbe
         bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
-    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)
+    metered_V = metered_voltage(now.installation, true_V + now.installation.cells * bias_V)
+    return compensated_voltage(now.installation, metered_V, current_A)

@@ -9,33 +9,26 @@ here: a capacity that is stated a few times too large is found by the filter, wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
-from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.initial_state import IDLE_C_RATE
-from uavbatt.battery.sizing import PackOptions, PackSize, capacity_since_s, checked, counts_of_cells, size_of_pack
-from uavbatt.errors import UsageError
+from uavbatt.battery.sizing import PackSize
 from uavbatt.limits import (
     C_RATE,
-    GUESSED_FROM,
     KELVIN,
     LONGEST_ROW_S,
     POWER_FACTOR,
-    TOLD_FROM,
     USUAL_C_RATE,
     Doubt,
     FirstVoltages,
     Resting,
     cells_doubt,
-    told_cells,
 )
 from uavbatt.notice import Kind, Notice
-from uavbatt.records import NAN, Flight, PackFacts, Sample
+from uavbatt.records import NAN, Sample
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
-FIRST_ROWS_S = 120.0  # part of a log that a command reads before it begins
 LOADED_C_RATE = 0.4
 REVERSED_C_RATE = 0.1  # a sensor's offset on the ground is less
 REVERSED_S, REGENERATING_S = 15.0, 90.0  # longest charging by a current that never discharged, and by one that did
@@ -146,7 +139,7 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        voltages = self._highest_voltages(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
+        voltages = self._highest_voltages(volts, self.current.load is NO_LOAD and is_at_rest(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
         current = self.current.after(time_s, volts, current_A, voltages.rested_V, pack) if is_metered else self.current
@@ -234,61 +227,7 @@ def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
     return Doubt(Notice(words, Kind.POWER), False)
 
 
-def first_voltages(samples: Iterable[Sample], capacity_Ah: float = NAN) -> FirstVoltages:
-    """Return the pack's highest voltages [V] before the load of a record, or of its first minutes.
-
-    Where the current is metered and no capacity is given, none counts as rested.
-    """
-    statements, start_s = Statements(), NAN
-    for sample in samples:
-        if not math.isfinite(sample.voltage_V):
-            continue
-        start_s = start_s if statements.rows else sample.time_s
-        is_idle = _is_idle(sample, capacity_Ah)
-        if sample.time_s - start_s > FIRST_ROWS_S or (statements.rows >= SEVERAL_ROWS and not is_idle):
-            break
-        statements = statements.with_voltage(sample.voltage_V, is_idle)
-    return statements.voltages
-
-
-def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, facts: PackFacts) -> PackSize:
-    """Size the pack of a flight by its first rows and by what the vehicle says (`facts`).
-
-    Raises UsageError when there is no voltage, or when the first rows contradict what the caller states.
-    """
-    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
-    if first is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    told = told_cells(first.cell_voltages_V, first.voltage_V)
-    guess = told or counts_of_cells(battery, options, facts, first.voltage_V, first.current_A)[0]
-    source = TOLD_FROM if told else GUESSED_FROM
-    try:
-        voltages = first_voltages(flight.samples, size_of_pack(battery, options, facts, guess).capacity_Ah)
-        size = size_of_pack(battery, options, facts, guess, source, voltages=voltages, rested_V=voltages.rested_V)
-        return checked(battery, size, voltages)
-    except UsageError as error:
-        raise UsageError(f"{flight.source}: {error}") from None
-
-
-def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
-    """Raise UsageError when the first rows of a flight make a statement of the caller about its pack impossible."""
-    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
-    if first is not None:
-        until_s = max(first.time_s + FIRST_ROWS_S, capacity_since_s(battery, options, flight.facts))
-        size_from_rows(battery, options, flight, flight.facts_at(until_s))
-
-
-def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
-    """Raise UsageError when a row of the flight contradicts the size of its pack for certain."""
-    statements = Statements()
-    for sample in flight.samples:
-        statements = statements.after(sample, sample, pack)
-        doubts = statements.doubts(pack, resting)
-        if doubts and doubts[0].is_certain and statements.rows >= SEVERAL_ROWS:
-            raise UsageError(f"{flight.source}: {doubts[0].words}")
-
-
-def _is_idle(sample: Sample, capacity_Ah: float) -> bool:
+def is_at_rest(sample: Sample, capacity_Ah: float) -> bool:
     """Return True if a row shows a pack at rest, or a pack that supplies only avionics."""
     if math.isfinite(sample.current_A):
         return abs(sample.current_A) <= IDLE_C_RATE * capacity_Ah

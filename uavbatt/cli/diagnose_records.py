@@ -61,7 +61,7 @@ def one_size(sizes: set[Size]) -> Size:
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecord:
     """Return the rows of a flight as a record. Raises NotEnoughData if it has no current."""
     from uavbatt.fitting import observed
-    from uavbatt.telemetry.cleaning.plausibility import MAX_CELL_C
+    from uavbatt.telemetry.cleaning.readings import MAX_CELL_C
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
         raise NotEnoughData(f"{flight.source}: no row has a current, and diagnose needs one")
@@ -81,8 +81,8 @@ def distinct(flights: list[Flight]) -> list[Flight]:
 
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
     """Return the size of a flight's pack. Raises UsageError if the rows of the flight contradict it."""
+    from uavbatt.battery.log_statements import check_whole, size_from_rows
     from uavbatt.battery.sizing import resting
-    from uavbatt.battery.statements import check_whole, size_from_rows
 
     size = size_from_rows(content, stated, flight, flight.facts_at(math.inf))
     check_whole(flight, size, resting(content))

@@ -95,7 +95,7 @@ def _written(content: BatteryFile, output: Path) -> Path:
 
 def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> BatteryFile:
     """Return the battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
-    from uavbatt.battery.statements import check_statements
+    from uavbatt.battery.log_statements import check_statements
 
     for flight in flights:
         check_statements(battery, stated, flight)
@@ -104,7 +104,7 @@ def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> 
 
 def _fitted(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> FittedBattery:
     """Return the fit of a battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
-    from uavbatt.battery.statements import check_whole
+    from uavbatt.battery.log_statements import check_whole
     from uavbatt.fitting.battery import fit_battery, size_of
     from uavbatt.limits import Resting
 

@@ -73,7 +73,7 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         state.belief,
         *(Belief(*one) for one in list(zip(*found.moments, found.ambient_C.tolist(), strict=True))[1:]),
     ]
-    known = [state.summary, *(summary(belief, pack.empty_soc_sd) for belief in beliefs[1:])]
+    known = [state.summary, *(summary(belief, pack.spread.empty_soc_sd) for belief in beliefs[1:])]
     rows = [
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
@@ -136,9 +136,9 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
         block[i] = 0.0
     log_weight = now.log_weight
     if not is_settling:
-        log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
+        log_weight = weighed(log_weight, innovation_V, variance_V2, pack.spread.evidence_share)
     if np.isfinite(warmer_K):
-        air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
+        air = noise.air_after(air, warmer_K, pack.spread.temperature_sd_K, dt_s)
     soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
     after = Standing(at.time_s, at.current_A, mean_A, block, air, load)
     return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)

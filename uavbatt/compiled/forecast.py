@@ -16,6 +16,7 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
+from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
@@ -79,7 +80,7 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
         cell_V += weak_lag(installation, cell, state, rate, strong_V)
         volts = metered_voltage(installation, cells * cell_V)
         if by_rows and k > 0:
-            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * wander.row[k, j]
+            volts += cells * ROW_SHARE * abs(rate - before) * series_ohmAh * wander.row[k, j]
         before = rate
         margin = min(volts - pack.cutoff_V, (state.soc - least_soc) * SOC_IN_CELL_V * cells)
         earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0

@@ -57,7 +57,7 @@ def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_
         for i in range(X.SENSOR + 1):
             F[i, j] = (plus[i] - minus[i]) * PER_NUDGES[j]
     F[X.LOG_RESISTANCE, X.LOG_RESISTANCE] = F[X.LOG_CAPACITY, X.LOG_CAPACITY] = F[X.REACTION, X.REACTION] = 1.0
-    F[X.BIAS, X.BIAS] = eq.decay(dt_s, pack.bias_tau_s)
+    F[X.BIAS, X.BIAS] = eq.decay(dt_s, pack.spread.bias_tau_s)
     q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
     later = moved(now, mean_A, ambient_C, over)
     for i in range(X.SENSOR + 1):
@@ -107,7 +107,7 @@ def update(
     if size == 2:
         H[1, X.SENSOR] = 1.0
         y[1] = temp_C - (x[X.SENSOR] + pack.installation.offset_K)
-        R[1, 1] = pack.temperature_sd_K**2
+        R[1, 1] = pack.spread.temperature_sd_K**2
     PHt, S = projected(P, H)
     for i in range(size):
         S[i, i] += R[i, i]

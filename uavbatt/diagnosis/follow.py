@@ -32,7 +32,7 @@ from uavbatt.fitting.observed import ObservedRecord
 CAN_BEGIN = (
     "capacity_fade", "resistance_growth", "weak_cell", "charge_transfer", "harness_resistance", "current_gain",
     "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset", "temperature_lag",
-    "current_delay", "airflow_cooling",
+    "current_delay", "airflow_cooling", "sag_compensation",
 )  # fmt: skip
 EARNED = 12.0  # least worth of the best of many courses (scripts/diagnose_cases_healthy.py)
 EARNED_ONCE = 36.0  # for an effect in one flight only, which may be a peculiarity of that flight

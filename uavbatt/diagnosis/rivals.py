@@ -30,7 +30,7 @@ FAMILIES = (
     {"current_offset", "unmetered_load"},
     {"voltage_gain", "voltage_offset"},
     {"polarisation", "slow_diffusion", "hysteresis"},
-    {"resistance_growth", "charge_transfer", "harness_resistance"},
+    {"resistance_growth", "charge_transfer", "harness_resistance", "sag_compensation"},
     {"temperature_offset", "temperature_lag"},
 )
 

@@ -111,9 +111,10 @@ def simulate(
     start = state_under_load(cell, own.soc.ravel(), start_C, rate[0])
     states = walk(cell, start, _between(rate), np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
+    metered_V = pack.metered_voltage(installation, true_V)
     shape = (*stack.time_s.shape[:1], variants, records)
     return Simulated(
-        pack.metered_voltage(installation, true_V).reshape(shape),
+        pack.compensated_voltage(installation, metered_V, current_A).reshape(shape),
         (states.sensor_C + installation.offset_K).reshape(shape),
         states.soc.reshape(shape),
     )

@@ -25,10 +25,11 @@ def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
     capacity scale, which scales both, and the voltage's fall tells k as the flight goes on.
     """
     level_sd, about_it_sd = STATED_SD if is_stated else ASSUMED_SD
+    resistance_scale_sd = math.hypot(pack.spread.resistance_scale_sd, level_sd)
     return pack._replace(
-        resistance_scale_sd=math.hypot(pack.resistance_scale_sd, level_sd),
-        capacity_scale_sd=level_sd,
-        guess_sd=about_it_sd,
+        spread=pack.spread._replace(
+            resistance_scale_sd=resistance_scale_sd, capacity_scale_sd=level_sd, guess_sd=about_it_sd
+        )
     )
 
 

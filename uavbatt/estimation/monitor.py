@@ -153,4 +153,4 @@ class Monitor(NamedTuple):
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:
     """Return the believed error of the model's voltage in standard deviations of its prior at the believed charge."""
     mean_V, soc = belief.weights @ belief.means[:, [X.BIAS, X.SOC]]
-    return float(mean_V) / math.hypot(pack.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.ocv_sd_V)))
+    return float(mean_V) / math.hypot(pack.spread.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.spread.ocv_sd_V)))

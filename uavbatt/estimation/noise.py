@@ -18,6 +18,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array, State
 from uavbatt.battery.pack import c_rate, grown, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
+from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.limits import AMBIENT_C
 
@@ -83,9 +84,9 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     """
     installation, cell = pack.installation, grown(pack.cell, pack.installation)
     idle = abs(rate_c) < IDLE_C_RATE
-    drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
-    model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
-    reaction_V = float(_reaction_V(pack, pack.reaction_sd_V, rate_c))
+    drop_share = float(np.hypot(UNSEEN_SHARE, pack.spread.resistance_scale_sd))
+    model_sd_V = pack.spread.bias_sd_V * (pack.spread.rested_share[0] if idle else 1.0)
+    reaction_V = float(_reaction_V(pack, pack.spread.reaction_sd_V, rate_c))
     read = initial_state.charge_at(cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = initial_state.state_under_load(cell, read.soc, temp_C, rate_c)
@@ -94,10 +95,10 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
         lag_V = weak_lag(installation, cell, state, rate_c, model.cell_voltage(cell, state, rate_c))
         other_V = float(state.polarisation_V + state.diffusion_V + model.transfer_drop(cell, rate_c) - lag_V)
         drop_V = other_V + (0.0 if pack.sag_compensated else ohmic_V)
-        bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
+        bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.spread.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V, reaction_V)
         read = initial_state.charge_at(cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
-    emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
+    emf_V, full_share = cell_V + drop_V, pack.spread.rested_share[1]
     mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however large the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
@@ -113,7 +114,7 @@ def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float,
     sd[X.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
     sd[X.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[X.CORE] = sd[X.SENSOR] = temp_sd_K
-    sd[X.REACTION] = pack.reaction_sd_V
+    sd[X.REACTION] = pack.spread.reaction_sd_V
     covariance = np.diag(sd**2)
     covariance[np.ix_((X.SOC, X.BIAS), (X.SOC, X.BIAS))] = charge
     bank = np.tile(covariance, (members.sd.size, 1, 1))
@@ -128,15 +129,17 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap it is not known if the load
     went on; this uncertainty is included.
     """
-    share = math.hypot(charge_share(dt_s), pack.guess_sd)
+    share = math.hypot(charge_share(dt_s), pack.spread.guess_sd)
     q = np.zeros(mean.shape)
     q[X.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
     if dt_s > LONGEST_GAP_S:
         q[X.SOC] += (0.5 * rate_c * dt_s / 3600.0) ** 2
     drop_V = np.abs(rate_c) * scaled_resistance(pack, mean) * np.exp(-mean[X.LOG_CAPACITY])
     fast_V, slow_V = drop_V * pack.cell.polarisation_ratio, drop_V * pack.cell.diffusion_ratio
-    q[X.POLARISATION] = _lagging(pack.lag_share[0], mean[X.POLARISATION], fast_V, dt_s, pack.cell.polarisation_tau_s)
-    q[X.DIFFUSION] = _lagging(pack.lag_share[1], mean[X.DIFFUSION], slow_V, dt_s, pack.cell.diffusion_tau_s)
+    q[X.POLARISATION] = _lagging(
+        pack.spread.lag_share[0], mean[X.POLARISATION], fast_V, dt_s, pack.cell.polarisation_tau_s
+    )
+    q[X.DIFFUSION] = _lagging(pack.spread.lag_share[1], mean[X.DIFFUSION], slow_V, dt_s, pack.cell.diffusion_tau_s)
     q[X.CORE] = CORE_WALK_K2PS * dt_s
     q[X.SENSOR] = CORE_WALK_K2PS * dt_s
     q[X.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
@@ -167,7 +170,7 @@ def is_settling(last: LastLoad) -> bool:
 
 def rested_variance(pack: Pack, soc: Number) -> Number:
     """Return the variance [V²] of the discrepancy of a cell at rest: the error of its open-circuit voltage."""
-    return (pack.rested_share[0] * pack.bias_sd_V) ** 2 + b.at_charge(pack.ocv_sd_V, soc) ** 2
+    return (pack.spread.rested_share[0] * pack.spread.bias_sd_V) ** 2 + b.at_charge(pack.spread.ocv_sd_V, soc) ** 2
 
 
 class Air(NamedTuple):
@@ -230,7 +233,7 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
     rows' drops. Therefore JUMP_SHARE of the increase of that drop counts as noise.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.present_capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
-    slow_V = pack.cell.transfer_V + pack.reaction_sd_V
+    slow_V = pack.cell.transfer_V + pack.spread.reaction_sd_V
     rate, before = c_rate(pack.installation, current_A), c_rate(pack.installation, current_A - step_A)
     bent_V = JUMP_SHARE * (_reaction_V(pack, slow_V, rate) - _reaction_V(pack, slow_V, before))
     return pack.installation.cells**2 * (voltage_variance(pack, ohm * current_A, ohm * step_A) + bent_V**2)
@@ -243,5 +246,5 @@ def _reaction_V(pack: Pack, full_V: float, rate_c: float) -> Number:
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
     """Return the variance of a reading per cell [V²] under the ohmic drop `drop_V` [V], of which `step_V` is new."""
-    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.drop_share, pack.guess_sd)
-    return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2
+    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.spread.drop_share, pack.spread.guess_sd)
+    return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (ROW_SHARE * step_V) ** 2

@@ -36,28 +36,23 @@ FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time 
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
-class Bounds(NamedTuple):
-    """Bounds holds the lowest and the highest voltage that the believed pack can show at rest, per cell [V]."""
-
-    low_V: float = -math.inf
-    high_V: float = math.inf
-
-
 class Silence(NamedTuple):
     """Silence holds the data that tell the old pack from another one after a silence that ended at `over_s` [s].
 
-    counted_Ah : the autopilot's counter before it [Ah]; may_fly_on : it is short and began under a load that flies, and
-    the first row after it is as the old pack would be.
+    lowest_V, highest_V : which the old pack can show at rest, per cell [V]; counted_Ah : the autopilot's counter before
+    the silence [Ah]; may_fly_on : it is short and began under a load that flies, and the first row after it is as the
+    old pack would be.
     """
 
     over_s: float
-    rested: Bounds
+    lowest_V: float
+    highest_V: float
     counted_Ah: float
     may_fly_on: bool
 
     def is_another_rested(self, cell_V: float) -> bool:
         """Return True if a cell at rest shows a voltage [V] that the old pack cannot show."""
-        return not self.rested.low_V <= cell_V <= self.rested.high_V
+        return not self.lowest_V <= cell_V <= self.highest_V
 
     def has_restarted(self, consumed_Ah: float) -> bool:
         """Return True if the counter [Ah] has fallen: the autopilot was restarted."""
@@ -172,18 +167,18 @@ class SwapWatch(NamedTuple):
             expected_V += self._drop_V(pack, sample.current_A)
         was_flying = self.current_A >= FLYING_C_RATE * capacity_Ah and gap_s <= RESTARTED_S
         may_fly_on = was_flying and abs(row.innovation_V) <= ODD_CELL_V * cells
-        return Silence(sample.time_s, self._bounds(gap_s, expected_V / cells, pack), self.consumed_Ah, may_fly_on)
+        return Silence(sample.time_s, *self._at_rest_V(gap_s, expected_V / cells, pack), self.consumed_Ah, may_fly_on)
 
-    def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
-        """Return the voltages that the old pack can show at rest after a silence of `gap_s` [s]."""
+    def _at_rest_V(self, gap_s: float, predicted_V: float, pack: Pack) -> tuple[float, float]:
+        """Return the lowest and the highest voltage of a cell of the old pack at rest after `gap_s` [s] of silence."""
         if gap_s > SETTLED_S or self.belief is None:
-            return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
+            return predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V
         mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[X.SOC, X.SOC])
         drawn = max(self.current_A, 0.0) * gap_s / 3600.0 / float(pack.installation.present_capacity_Ah)
         lag_V = max(float(mean[X.POLARISATION] + mean[X.DIFFUSION]), 0.0)
         low_V = float(model.open_circuit_voltage(pack.cell, mean[X.SOC] - drawn - sd)) - lag_V
         high_V = float(model.open_circuit_voltage(pack.cell, min(mean[X.SOC] + sd, 1.0)))
-        return Bounds(low_V - ODD_CELL_V, high_V + ODD_CELL_V)
+        return low_V - ODD_CELL_V, high_V + ODD_CELL_V
 
 
 def _is_on_ground(silence: Silence, sample: Sample, pack: Pack) -> bool:

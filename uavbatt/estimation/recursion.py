@@ -11,7 +11,7 @@ compiled; a test holds the two equal to 1e-9.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -83,13 +83,13 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     ambient_C : given ambient temperature [°C], NaN where nobody gave one; members : the capacities to weigh.
     """
     current_A = float(true_current(pack.installation, sample.current_A, sample.voltage_V))
-    temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.temperature_sd_K
+    temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.spread.temperature_sd_K
     if not math.isfinite(temp_C):
         temp_C, temp_sd_K = ambient_C, 3.0
     if not math.isfinite(temp_C):
         temp_C, temp_sd_K = ROOM_TEMP_C, noise.UNKNOWN_TEMP_SD_K
     rate = float(c_rate(pack.installation, current_A))
-    cell_V = float(true_voltage(pack.installation, sample.voltage_V)) / pack.installation.cells
+    cell_V = float(true_voltage(pack.installation, sample.voltage_V, current_A)) / pack.installation.cells
     first = noise.first_state(pack, cell_V, temp_C, rate)
     x = np.zeros((members.log_scale.size, SIZE))
     x[:, : X.SENSOR + 1] = first.state
@@ -108,7 +108,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
 
 def state_at(pack: Pack, belief: Belief, time_s: float, current_A: float, air: noise.Air) -> FilterState:
     """Return the state of a filter that begins with a belief, after a row at `time_s` [s] under `current_A` [A]."""
-    return FilterState(belief, summary(belief, pack.empty_soc_sd), time_s, current_A, current_A, Block(), air)
+    return FilterState(belief, summary(belief, pack.spread.empty_soc_sd), time_s, current_A, current_A, Block(), air)
 
 
 def filter_window(
@@ -126,8 +126,10 @@ def filter_window(
         if shown is None:
             within.append((len(rows), state, sample.voltage_V))
         rows.append(FilteredRow(state.belief, state.summary, shown or NOTHING))
-    for k, shown in _innovations(pack, within):
-        rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
+    if within:
+        numbers, states, voltages_V = zip(*within, strict=True)
+        for k, shown in zip(numbers, _innovations(pack, states, voltages_V), strict=True):
+            rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
     return rows, state
 
 
@@ -156,24 +158,21 @@ def _take(
     return _close(pack, state, condition)
 
 
-def _innovations(pack: Pack, rows: Sequence[tuple[int, FilterState, float]]) -> Iterator[tuple[int, Innovation]]:
-    """Yield the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
+def _innovations(pack: Pack, states: Sequence[FilterState], voltages_V: Sequence[float]) -> list[Innovation]:
+    """Return the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
 
-    Each row has its number in the window. The means are those after the last block, less the charge drawn since.
+    The means are those after the last block, less the charge drawn since.
     """
-    if not rows:
-        return
-    numbers, states, voltages_V = zip(*rows, strict=True)
-    means, weights, charges_As, currents_A = zip(
-        *[(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states],
-        strict=True,
+    rows = [(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states]
+    x, weight, drawn_As, current_A = map(np.array, zip(*rows, strict=True))
+    x[..., X.SOC] -= drawn_As[:, None] / (
+        3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY])
     )
-    x, weight = np.array(means), np.array(weights)
-    drawn_As, current_A = np.array(charges_As)[:, None], np.array(currents_A)[:, None]
-    x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
-    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
-    for k, voltage_V, volts_V, of_row, x_of_row in zip(numbers, voltages_V, expected_V, weight, x, strict=True):
-        yield k, Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC]))
+    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A[:, None]) * weight).sum(axis=1).tolist()
+    found = []
+    for voltage_V, volts_V, of_row, x_of_row in zip(voltages_V, expected_V, weight, x, strict=True):
+        found.append(Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC])))
+    return found
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
@@ -220,9 +219,9 @@ def _update(
     x, P = _at_most_full(x, P, condition)
     log_weights, weight = at.log_weights, at.weights
     if weighs:
-        log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
+        log_weights = weighed(log_weights, innovation[:, 0], spread[:, 0, 0], pack.spread.evidence_share)
     if math.isfinite(block.temp_C):
-        air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.temperature_sd_K, block.duration_s)
+        air = noise.air_after(air, float(weight @ innovation[:, 1]), pack.spread.temperature_sd_K, block.duration_s)
     after = Belief(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weights, air.ambient_C)
     soc = float(after.weights @ x[:, X.SOC])
     shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected_V), soc)
@@ -243,7 +242,7 @@ def _measurement(pack: Pack, means: Array, block: Block, step_A: float) -> tuple
     observation, expected = jacobian(readings, means)
     variances = np.empty((len(means), 2))
     variances[:, 0] = noise.reading_variance(pack, means.T, block.current_A, step_A)
-    variances[:, 1] = pack.temperature_sd_K**2
+    variances[:, 1] = pack.spread.temperature_sd_K**2
     noise_R = variances[:, : measured.size, None] * np.eye(measured.size)
     return Measurement(measured - expected, observation, noise_R), expected[:, 0]
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
+from uavbatt.battery.log_statements import first_voltages
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
 from uavbatt.battery.sizing import PackOptions, PackSize, possible_facts, size_of_pack
-from uavbatt.battery.statements import first_voltages
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander

@@ -20,7 +20,7 @@ from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.cleaning.cleaner import Cleaner
-from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C
+from uavbatt.telemetry.cleaning.readings import BOARD_START_C
 
 BIN_S = 5.0
 FINE_SHARE, SLOW_SHARE = 0.9, 1.1  # of BIN_S: rows every 5 s, more or less, are as good as bins

@@ -23,7 +23,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from uavbatt.live.report import Display, Report
+from uavbatt.live.report import STALE_AFTER_S, Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
 from uavbatt.notice import Kind, kind_of
 from uavbatt.records import Status
@@ -42,6 +42,7 @@ WARNINGS: dict[Kind, str] = {
     Kind.MAY_NOT_LAND: "may end before touchdown",
     Kind.LATE: "telemetry comes late",
     Kind.ENDS_SOON: "voltage nears its cut-off: land",
+    Kind.MAY_END_SOON: "may end within 2 min: land",
     Kind.CELLS_NOT_STATED: "cells not stated: another count fits",
     Kind.GIVES_NOTHING: "gives nothing, another has the load",
     Kind.CELLS_OF_VEHICLE: "cells of the vehicle not used",
@@ -67,7 +68,7 @@ WARNINGS: dict[Kind, str] = {
     Kind.DEAD_CURRENT: "current fell to nothing: sensor?",
 }
 
-CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON)
+CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON, Kind.MAY_END_SOON)
 
 LONGEST_REASON = 23
 
@@ -156,15 +157,14 @@ class Announcer:
             self._lost_s, self._was_known = math.nan, self._was_known and is_armed is not False
         else:
             said += self._loss(now_s, shown, is_armed)
-        if shown.status is not Status.STALE:
-            said += self._new_warnings(now_s, report.estimate.warnings)
+        said += self._new_warnings(now_s, _warnings(now_s, report))
         return self._named(said)
 
     def repeats(self, now_s: float, report: Report, speaks_first: bool = True) -> list[tuple[int, str]]:
         """Return (severity, text) of the important announcements that are due again; parameters as in `texts`."""
         shown, said = report.at(now_s), []
         due, self._again = [r for r in self._again if now_s >= r.due_s], [r for r in self._again if now_s < r.due_s]
-        held = {kind_of(warning) for warning in report.estimate.warnings} if shown.status is not Status.STALE else set()
+        held = {kind_of(warning) for warning in _warnings(now_s, report)}
         for severity, kind, threshold_s, _ in due:
             if kind is None and speaks_first and shown.at_worst_s <= REARM * threshold_s:
                 said.append((severity, _left(shown.at_worst_s)))
@@ -241,6 +241,14 @@ def _waits_for_load(report: Report, is_in_the_air: bool) -> bool:
     """
     kind = kind_of(report.remaining.reason)
     return kind in (Kind.JUST_TAKEN_OFF, Kind.GIVES_NOTHING) or (kind is Kind.NOT_FLYING and not is_in_the_air)
+
+
+def _warnings(now_s: float, report: Report) -> Sequence[str]:
+    """Return the warnings that hold now: the critical ones alone of rows that come too late, none in a silence."""
+    if report.silent_s(now_s) > STALE_AFTER_S:
+        return ()
+    held = report.estimate.warnings
+    return [warning for warning in held if kind_of(warning) in CRITICAL] if report.is_stale(now_s) else held
 
 
 def _short(reason: str) -> str:

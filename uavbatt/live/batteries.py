@@ -26,6 +26,7 @@ from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.link.reader import LiveReader, LiveRow
 from uavbatt.telemetry.link.vehicle import Vehicle
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from uavbatt.live.pack_keeper import PackKeeper
 
 NOTE_S = 60.0
+ONE_ENDS_SOON = Notice("by one of two senders less than two minutes may be left: land", Kind.MAY_END_SOON)
 
 
 class Batteries:
@@ -110,6 +112,8 @@ class Batteries:
         if not conflict:
             return estimate, remaining
         why = Notice(f"two senders speak for this battery: {conflict}", Kind.TWO_SENDERS)
+        if row.sample.armed is not False and remaining.remaining_alarm_s <= ALARM_S:  # the other may be right
+            estimate = replace(estimate, warnings=(*estimate.warnings, ONE_ENDS_SOON))
         return _refused(estimate, remaining, why)
 
     def _log_pack(self, instance: int, tracked: TrackedBattery, remaining: Remaining) -> None:

@@ -3,7 +3,8 @@
 In flight the batteries that carry it (`carriers`) come first, even while nothing is known of them. Then fresh ones come
 before stale ones; in flight those that give current before those that give none; then the one with the least time left;
 then the lowest number. Two packs in parallel end within seconds of each other, so the first keeps its place until
-another has clearly less time.
+another has clearly less time. A first battery that falls silent in flight keeps it as well, its time unknown, while the
+other had clearly more time beside it: the longer time of that one would pass for the vehicle's.
 
 If a battery gives nothing in flight while another carries it, a warning says so: its charge does not help the aircraft.
 """
@@ -16,8 +17,10 @@ from dataclasses import replace
 
 from uavbatt.live.carriers import Carriers
 from uavbatt.live.log import tell
-from uavbatt.live.report import Report
+from uavbatt.live.report import STALE_AFTER_S, Report
 from uavbatt.notice import Kind, Notice, kind_of
+from uavbatt.prediction.pending import ALARM_S
+from uavbatt.telemetry.builder import CARRYING
 
 NOTHING_SHARE = 0.02  # of the largest current of a battery; electronics alone draw more
 NOTHING_AFTER_S = 3.0  # one row without a current does not count
@@ -64,6 +67,10 @@ class Headline:
     def _lead(self, in_order: list[Report], now_s: float) -> None:
         """Put the one that was first back in front while another has not been better for long enough."""
         first = next((report for report in in_order if report.instance == self._first), None)
+        if first is not None and _hides_less_time(first, in_order[0], now_s):
+            in_order.remove(first)
+            in_order.insert(0, first)
+            return
         if first is None or first is in_order[0] or first.is_stale(now_s):
             self._first = in_order[0].instance if in_order else None
             self._better = None
@@ -104,8 +111,28 @@ class Headline:
         left_s = report.at(now_s).remaining_s
         left_s = left_s if math.isfinite(left_s) else math.inf
         if is_first:
-            left_s = min(KEEPS_SHARE * left_s, left_s - KEEPS_S)
+            left_s = _clearly_less(left_s)
         return False, is_idle or is_unknown, left_s, report.instance
+
+
+def takes_alarms(report: Report, first: Report, now_s: float) -> bool:
+    """Return True if a battery gives its last alarms in place of the silent first one, as it carried the flight too."""
+    is_carrier = report.flown_J >= CARRYING * first.flown_J > 0.0
+    return first.is_stale(now_s) and is_carrier and report.at(now_s).at_worst_s <= ALARM_S
+
+
+def _hides_less_time(silent: Report, other: Report, now_s: float) -> bool:
+    """Return True if a silent battery had clearly less time than another that had carried the flight beside it.
+
+    A battery that has begun only after the silence may be the same pack with another number, or a pack switched on.
+    """
+    silence_s, gone, left = silent.silent_s(now_s), silent.remaining, other.at(now_s)
+    was_beside = other.flown_s > silence_s > STALE_AFTER_S
+    return was_beside and gone.remaining_s - silence_s < _clearly_less(left.remaining_s)
+
+
+def _clearly_less(time_s: float) -> float:
+    return min(KEEPS_SHARE * time_s, time_s - KEEPS_S)
 
 
 def _carrying(reports: Sequence[Report], now_s: float) -> Report | None:

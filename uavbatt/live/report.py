@@ -13,10 +13,12 @@ from typing import NamedTuple
 
 from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.output import Line, line, rounded, speaker
+from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
 LATE_S, TOO_LATE_S = 3.0, 10.0  # delay by the vehicle's clock: from the first it is subtracted, beyond the second stale
+LATE_ENDS_SOON = Notice("by late telemetry less than two minutes may be left: land", Kind.MAY_END_SOON)
 NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
@@ -83,7 +85,8 @@ class Report:
         """Return the report of a row that came `late_s` [s] late, with a warning; up to LATE_S it is unchanged."""
         if not late_s > LATE_S:
             return self
-        warnings = (*self.estimate.warnings, _late_notice(late_s))
+        ends_soon = late_s > TOO_LATE_S and self.remaining.remaining_alarm_s - late_s <= ALARM_S
+        warnings = (*self.estimate.warnings, _late_notice(late_s), *(LATE_ENDS_SOON,) * ends_soon)
         return replace(self, late_s=late_s, estimate=replace(self.estimate, warnings=warnings))
 
     def silent_s(self, now_s: float) -> float:

@@ -6,12 +6,14 @@ requests are allowed. Everything else goes to the ground-station endpoints only.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 
-from uavbatt.live.announced import Announcer
+from uavbatt.live.announced import WITHOUT_AFTER_S, Announcer
 from uavbatt.live.battery_component import BatteryFeed
 from uavbatt.live.config import Config
+from uavbatt.live.headline import takes_alarms
 from uavbatt.live.mission_request import MissionRequest
 from uavbatt.live.named import NamedFeed
 from uavbatt.live.proxy_client import ProxyClient
@@ -20,13 +22,14 @@ from uavbatt.live.requests import Requests, parameter_names
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
-from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, Outgoing
+from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, SEVERITY_WARNING, Outgoing
 from uavbatt.navigation import Navigation
 from uavbatt.telemetry.link.reader import LiveReader
 from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
 
 ANNOUNCE_PERIOD_S = 0.25
+NO_READINGS = "No battery readings: time unknown"
 MOST_SAID = 8  # announcements that are kept for the page
 
 
@@ -43,6 +46,7 @@ class Sender:
         self._outs: dict[tuple[int, int], Outgoing] = {}
         self._announcers: dict[int, Announcer] = {}
         self._beat_s = self._look_s = float("-inf")
+        self._without_since_s = math.nan  # armed without any battery; infinite once that was said in this flight
         self._system: int | None = None  # the followed vehicle's
         self.announcements: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (time [s], text)
 
@@ -127,17 +131,29 @@ class Sender:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S
         is_airborne = navigation.is_aloft(vehicle.now_s)
-        made: list[tuple[int, str]] = []
+        made = self._without_battery(now_s, vehicle, reports)
         again: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            is_first = report is reports[0]
+            is_first = report is reports[0] or takes_alarms(report, reports[0], now_s)
             made += announcer.texts(now_s, report, vehicle.armed, is_airborne, is_first)
             again += announcer.repeats(now_s, report, is_first)
         self.announcements.extend((now_s, text) for _, text in made)  # the page keeps all of them
         return made + again
+
+    def _without_battery(self, now_s: float, vehicle: Vehicle, reports: Sequence[Report]) -> list[tuple[int, str]]:
+        """Return, once a flight, that an armed vehicle has told of no battery so far."""
+        if reports or vehicle.armed is not True:
+            self._without_since_s = math.nan
+            return []
+        if math.isnan(self._without_since_s):
+            self._without_since_s = now_s
+        if now_s - self._without_since_s < WITHOUT_AFTER_S:
+            return []
+        self._without_since_s = math.inf
+        return [(SEVERITY_WARNING, NO_READINGS)]
 
     def _to_gcs(self, frame: bytes, now_s: float) -> None:
         if isinstance(self._link, ProxyClient):

@@ -72,7 +72,7 @@ def _under_load(pack: Pack, loaded: Sequence[Belief]) -> Scales:
 
 def _prior(pack: Pack) -> Scales:
     """Return the prior of the run: a pack of which nothing is known, and the discrepancy that its type may have."""
-    discrepancy_sd = _ohms_per_volt(pack) * math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
+    discrepancy_sd = _ohms_per_volt(pack) * math.hypot(pack.spread.bias_sd_V, ELECTRODE_SD_V)
     return Scales(UNKNOWN.mean, UNKNOWN.covariance + np.diag([discrepancy_sd**2, 0.0]))
 
 
@@ -81,7 +81,7 @@ def _ohms_per_volt(pack: Pack) -> float:
 
     It is limited if the battery file's own discrepancy is so large that it would hide the resistance.
     """
-    most = math.sqrt(UNKNOWN.covariance[0, 0]) / math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
+    most = math.sqrt(UNKNOWN.covariance[0, 0]) / math.hypot(pack.spread.bias_sd_V, ELECTRODE_SD_V)
     return min(1.0 / hover_drop_V(pack), most)
 
 

@@ -15,12 +15,12 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.log_statements import check_statements, size_from_rows
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack, sized
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
-from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt, refuse_certain
@@ -33,7 +33,6 @@ CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
 START_SOC_SD = 0.01  # by a charger that says full, or a rested voltage
 AMBIENT_SD_K = 2.0
 NOMINAL_CELL_V = 3.7
-EMPTY_SOC = 1e-3  # below it the pack counts as empty, whatever the fitted voltage is there
 VALID_WITHIN_K = 5.0
 
 
@@ -120,7 +119,7 @@ def endurance(battery: BatteryFile, resolved: PackSize, load: Load, take_off: Ta
     """Return the time from take-off to the end of flight, the pack rested and as warm as the air."""
     ambient_C, start_soc, reserve_soc, remembered = take_off
     pack = with_reaction(sized(battery, resolved), remembered)
-    forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
+    forecaster = Forecaster(pack, ForecastSettings(load, reserve_soc))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:
         beyond = "the end may lie beyond six hours: this is not the load of a flight"
@@ -128,7 +127,7 @@ def endurance(battery: BatteryFile, resolved: PackSize, load: Load, take_off: Ta
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
     remark = range_remark(battery, ambient_C)
     if found.median_s <= 0.0:
-        why = _why_no_flight(pack, start_soc, max(reserve_soc, EMPTY_SOC), ambient_C)
+        why = _why_no_flight(pack, start_soc, reserve_soc, ambient_C)
         remark = f"{why}; {remark}" if is_outside(battery, ambient_C) else why
     return Endurance(ambient_C, *times_s, remark)
 
@@ -150,7 +149,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
-    charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
+    charge = np.diag([START_SOC_SD**2, pack.spread.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
     return Belief(means, covariances, np.log(members.weight), ambient_C)

@@ -23,7 +23,7 @@ from uavbatt.battery.sizing import PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
-from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, TakeOff, range_remark, rested
+from uavbatt.plan.endurance import TABLE_C, TakeOff, range_remark, rested
 from uavbatt.plan.words import leg_words
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import end_times
@@ -181,8 +181,7 @@ def _fit(
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
-    reserve = max(reserve_soc, EMPTY_SOC)
-    flying = Flying(pack, x, power_W, ambient_C, dt_s, reserve)
+    flying = Flying(pack, x, power_W, ambient_C, dt_s, reserve_soc)
     elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)

@@ -132,7 +132,7 @@ def curve_tables(pack: Pack) -> Array:
     In one array a step looks all of them up at once. A segment is added at each end of the grid: there the open-circuit
     voltage goes straight on, the others are flat.
     """
-    curves = np.stack([pack.cell.ocv_V, pack.cell.r0_ohmAh, pack.ocv_drift_sd_V])
+    curves = np.stack([pack.cell.ocv_V, pack.cell.r0_ohmAh, pack.spread.ocv_drift_sd_V])
     goes_on = np.array([[1.0], [0.0], [0.0]])
     below, above = goes_on * (curves[:, 1:2] - curves[:, :1]), goes_on * (curves[:, -1:] - curves[:, -2:-1])
     nodes = np.concatenate([curves[:, :1] - below, curves, curves[:, -1:] + above], axis=1)

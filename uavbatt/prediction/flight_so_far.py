@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.prediction.load import LOWEST_POWER_W, RecentLoad
+from uavbatt.prediction.power_history import LOWEST_POWER_W, RecentLoad
 from uavbatt.records import NAN, Sample
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
@@ -48,12 +48,12 @@ class FlightSoFar(NamedTuple):
         """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
         return max(LOWEST_POWER_W, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
-    def has_carried(self, c_per_W: float) -> bool:
+    def has_carried(self, power_W: float, c_rate: float) -> bool:
         """Return True if the load so far has surely carried the aircraft, so that a rise now is another load.
 
-        c_per_W : C-rate of a power of 1 W [1/(h W)]
+        power_W, c_rate : of a row, which tell the C-rate [1/h] of any other power [W]
         """
-        return self.flown_s >= CARRIED_S and self.mean_W * c_per_W >= GROUNDED_C
+        return self.flown_s >= CARRIED_S and self.mean_W * (c_rate / max(power_W, LOWEST_POWER_W)) >= GROUNDED_C
 
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> FlightSoFar:
         """Return the past with one more row, its power [W] and its C-rate [1/h].

@@ -26,7 +26,7 @@ from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
-from uavbatt.prediction.load import LOWEST_POWER_W, SLOW_ROW_S, ConstantLoad, FlightPoint, Load
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
@@ -124,7 +124,8 @@ class Forecaster:
         reason is empty where there can be a forecast; the forecast is None between two of them. No simulated forecast
         is used, so that a replay can take many rows in and simulate their forecasts at once.
         """
-        self._remember(sample, navigation)
+        is_aloft = navigation.is_aloft(sample.time_s)
+        self._remember(sample, navigation, is_aloft)
         flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
         if math.isnan(self._flight.took_off_s):
             self._at_take_off = None
@@ -132,7 +133,7 @@ class Forecaster:
             self._rested = belief
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
             self._at_take_off = self._expected(self._rested or belief, self._flight.flying_since_s)
-        refusal, question = self._refusal(estimate, flying_s, navigation.is_aloft(sample.time_s)), None
+        refusal, question = self._refusal(estimate, flying_s, is_aloft), None
         if not refusal and belief is None:
             refusal = NO_BELIEF
         elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
@@ -251,20 +252,17 @@ class Forecaster:
         since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
         return FlightPoint(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
-    def _remember(self, sample: Sample, navigation: Navigation) -> None:
+    def _remember(self, sample: Sample, navigation: Navigation, is_aloft: bool | None) -> None:
         """Take the load and the place of one row into the memory; a row without voltage or current changes nothing."""
         if not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flight
+        power_W, before = float(true_voltage(installation, sample.voltage_V, current_A)) * current_A, self._flight
         rate = float(c_rate(installation, current_A))
-        self._flight = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
-        if (
-            self._at_take_off is not None
-            and self._flight.took_off_s > before.took_off_s
-            and not before.has_carried(rate / max(power_W, LOWEST_POWER_W))  # before it was spool-up
-        ):
+        self._flight = before.after(sample, power_W, rate, is_aloft)
+        was_spool_up = self._flight.took_off_s > before.took_off_s and not before.has_carried(power_W, rate)
+        if self._at_take_off is not None and was_spool_up:
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flight.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)

@@ -1,7 +1,6 @@
 """The load to come: the power until the end of the flight.
 
-A load gives scenarios: power over time, each with a weight. They depend on the `FlightPoint` of now;
-`RecentLoad` is the memory from which it is made.
+A load gives scenarios: power over time, each with a weight. They depend on the `FlightPoint` of now.
 """
 
 from __future__ import annotations
@@ -16,15 +15,13 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.power_history import PowerHistory
+from uavbatt.prediction.power_history import LOWEST_POWER_W, PowerHistory, RecentLoad
 from uavbatt.prediction.swings import Swings, swung
 
-MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # time constants of the averages
 UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # swings of a flight that has just begun
 STATED_SPREAD = 0.04  # relative sd of a power that the operator states
 SCENARIOS = 9
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
-LOWEST_POWER_W = 1.0  # least load: a forecast divides by it
 
 
 class Scenarios(NamedTuple):
@@ -64,24 +61,6 @@ class Load(Protocol):
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return the loads that may come from now on, in `steps` steps of `dt_s` [s]."""
         ...
-
-
-class RecentLoad(NamedTuple):
-    """RecentLoad remembers the power [W] in exponentially weighted means; it is a value, replaced by `after`."""
-
-    time_s: float = math.nan
-    mean_W: float = math.nan
-    gust_W: float = math.nan
-    history: PowerHistory = PowerHistory()
-
-    def after(self, time_s: float, power_W: float) -> RecentLoad:
-        """Return the memory with one more row; rows must come in order of time."""
-        if not math.isfinite(self.time_s):
-            return RecentLoad(time_s, power_W, power_W)
-        dt_s = max(time_s - self.time_s, 0.0)
-        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
-        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
-        return RecentLoad(time_s, mean_W, gust_W, self.history.after(power_W, dt_s))
 
 
 def equal_levels(spread: float, count: int) -> Array:

@@ -21,16 +21,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.prediction.load import (
-    LOWEST_POWER_W,
-    MEAN_TAU_S,
-    ConstantLoad,
-    FlightPoint,
-    Load,
-    Scenarios,
-    equal_levels,
-    flown_again,
-)
+from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
+from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3

@@ -17,6 +17,8 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 
+MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # time constants of the averages
+LOWEST_POWER_W = 1.0  # least load: a forecast divides by it
 SHORTEST_PIECE_S = 5.0  # the mean over 5 s that ends a flight
 MOST_PIECES = 1024
 LONGEST_ROW_S = 30.0  # the power in a longer gap is not known
@@ -121,6 +123,24 @@ class PowerHistory(NamedTuple):
         minutes = before_W.size / pieces
         squares = PRIOR_MINUTES * PRIOR_MINUTE_SD**2 + minutes * float(np.mean((means - 1.0) ** 2))
         return math.sqrt(squares / (PRIOR_MINUTES + minutes))
+
+
+class RecentLoad(NamedTuple):
+    """RecentLoad remembers the power [W] in exponentially weighted means; it is a value, replaced by `after`."""
+
+    time_s: float = math.nan
+    mean_W: float = math.nan
+    gust_W: float = math.nan
+    history: PowerHistory = PowerHistory()
+
+    def after(self, time_s: float, power_W: float) -> RecentLoad:
+        """Return the memory with one more row; rows must come in order of time."""
+        if not math.isfinite(self.time_s):
+            return RecentLoad(time_s, power_W, power_W)
+        dt_s = max(time_s - self.time_s, 0.0)
+        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
+        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
+        return RecentLoad(time_s, mean_W, gust_W, self.history.after(power_W, dt_s))
 
 
 @cache

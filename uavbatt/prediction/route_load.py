@@ -10,7 +10,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, beyond_learned, power, terms, turning_power
 from uavbatt.prediction import sampling
-from uavbatt.prediction.load import LOWEST_POWER_W, FlightPoint, Scenarios, stretches_s, swinging
+from uavbatt.prediction.load import FlightPoint, Scenarios, stretches_s, swinging
+from uavbatt.prediction.power_history import LOWEST_POWER_W
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings

@@ -89,7 +89,7 @@ def least_soc(flying: Flying) -> Array:
     """
     if flying.reserve_soc > 0.0:
         return np.full(DRAWS, flying.reserve_soc)
-    return -flying.pack.empty_soc_sd * shuffled(DRAWS)
+    return -flying.pack.spread.empty_soc_sd * shuffled(DRAWS)
 
 
 @cache

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.pack import typical_power_W
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.typical_power import typical_power_W
-from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
+from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_SPREAD,
     GRID_S,
@@ -29,6 +29,7 @@ from uavbatt.prediction.load_library import (
     LearnedLoad,
     UnknownAircraft,
 )
+from uavbatt.prediction.power_history import LOWEST_POWER_W
 from uavbatt.prediction.time_to_end import EndTimes
 
 SETTLED_S = 60.0

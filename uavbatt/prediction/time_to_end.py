@@ -20,6 +20,7 @@ from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage
+from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.prediction.draws import Flying, mean_cell_V, source_of, start_draws, step_over, stepped
 from uavbatt.prediction.sampling import Normals
 
@@ -51,7 +52,7 @@ def time_to_end(
     own_steps : steps after which each forecast's horizon ends. The simulation is over when a share `enough` of each
     forecast's draws has ended; the others are inf.
     """
-    pack, draws, count = flying.pack, start_draws(flying), flying.power_W.shape[0]
+    draws, count = start_draws(flying), flying.power_W.shape[0]
     installation, batch = draws.installation, draws.bias_V.shape
     asked_WpAh = flying.power_W / (installation.cells * installation.present_capacity_Ah)
     limits = _Limits(flying, least_soc, _times(flying.dt_s, len(batch)), own_steps, float(np.min(own_steps)))
@@ -64,7 +65,7 @@ def time_to_end(
         recent.cell_V[row], recent.soc[row] = mean_cell_V(draws, at, under), draws.state.soc
         if flying.by_rows and before is not None:
             change_V = np.abs(under.c_rate - before) * at.series_ohmAh
-            recent.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
+            recent.noise_V[row] = installation.cells * ROW_SHARE * change_V * wander.row[k]
         before = under.c_rate
         if row == recent.soc.shape[0] - 1 or k == count - 1:
             ends = _judged(limits, ends, recent, k)

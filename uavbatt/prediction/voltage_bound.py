@@ -78,7 +78,8 @@ class LaggingCurrents(NamedTuple):
         if not math.isfinite(self.time_s):
             return LaggingCurrents(time_s, current_A, current_A)
         dt_s = max(time_s - self.time_s, 0.0)
-        fast, slow = (math.exp(-dt_s / float(tau_s)) for tau_s in (cell.polarisation_tau_s, cell.diffusion_tau_s))
+        fast = math.exp(-dt_s / float(cell.polarisation_tau_s))
+        slow = math.exp(-dt_s / float(cell.diffusion_tau_s))
         fast_A, slow_A = current_A + fast * (self.fast_A - current_A), current_A + slow * (self.slow_A - current_A)
         return LaggingCurrents(time_s, fast_A, slow_A)
 
@@ -102,11 +103,6 @@ class FallBin(NamedTuple):
         """Return True if the current is known."""
         return math.isfinite(self.current_A)
 
-    @property
-    def reach_V(self) -> float:
-        """Return how far above its cut-off a cell may be for its fall to say something [V]."""
-        return WITHIN_REACH_V if self.is_metered else BLIND_REACH_V
-
     def with_row(self, voltage_V: float, current_A: float) -> FallBin:
         """Return the bin with one more row in its means."""
         share = 1.0 / (self.rows + 1)
@@ -119,51 +115,51 @@ class FallBin(NamedTuple):
 NO_BIN = FallBin(NAN, NAN, NAN)
 
 
-class Fall(NamedTuple):
-    """Fall holds the last minute in bins, the open one last."""
+def fall_left_s(
+    bins: tuple[FallBin, ...], cells: float, cutoff_V: float, fast_V: float = 0.0, slow_V: float = 0.0
+) -> float:
+    """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it.
 
-    bins: tuple[FallBin, ...] = ()
+    bins : the last minute, the open bin last; fast_V, slow_V : the pack's lagging overpotentials now [V]. NaN means
+    that it cannot be told: the voltage falls towards the cut-off, but not clearly enough for a time.
+    """
+    reach_V = WITHIN_REACH_V if bins[-1].is_metered else BLIND_REACH_V
+    if bins[-1].voltage_V - cutoff_V > reach_V * cells:
+        return math.inf  # true in most of a flight
+    bins = _of_one_kind(bins)
+    judged = bins[-JUDGED_BINS:]
+    if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
+        return 0.0  # over, by the rule that ends a flight
+    bins = tuple(row for row in bins if row.current_A >= min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A))
+    fallen_V = _mean_fall_V(bins) if len(bins) >= FEWEST_BINS else 0.0
+    if fallen_V <= 0.0 or fallen_V < RESOLVED_STEPS * min(row.step_V for row in bins):
+        return math.inf
+    slope_left_s = _by_mean_slope_s(bins, fallen_V, cutoff_V)
+    if slope_left_s > LEVEL * SIGHT_S:
+        return math.inf
+    rows = np.array([(*row[:3], lag_V) for row, lag_V in zip(bins, _lags_V(bins, fast_V, slow_V), strict=True)])
+    rows[:, 0] -= rows[-1, 0]
+    left_s = max(_fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V) for window_s in WINDOWS_S)
+    if left_s <= SIGHT_S:
+        return left_s
+    return NAN if slope_left_s <= SIGHT_S else math.inf
 
-    def with_bin(self, new: FallBin) -> Fall:
-        """Return the window with one more bin; after a clock that fell back there is no other bin."""
-        before = self.bins if self.bins and new.begin_s >= self.bins[-1].begin_s else ()
-        first = next((k for k, row in enumerate(before) if new.begin_s - row.begin_s <= max(WINDOWS_S)), len(before))
-        return Fall((*before[first:], new))
 
-    def time_left_s(self, cells: float, cutoff_V: float, fast_V: float = 0.0, slow_V: float = 0.0) -> float:
-        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it.
+def _last_minute(bins: tuple[FallBin, ...], now_s: float) -> tuple[FallBin, ...]:
+    """Return the bins that a window may hold at a time [s]; none after a clock that fell back."""
+    if not bins or now_s < bins[-1].begin_s:
+        return ()
+    return tuple(row for row in bins if now_s - row.begin_s <= max(WINDOWS_S))
 
-        fast_V, slow_V : the pack's lagging overpotentials now [V]. NaN means that it cannot be told: the voltage falls
-        towards the cut-off, but not clearly enough for a time.
-        """
-        if not self.bins or self.bins[-1].voltage_V - cutoff_V > self.bins[-1].reach_V * cells:
-            return math.inf  # true in most of a flight
-        bins = self._of_one_kind()
-        judged = bins[-JUDGED_BINS:]
-        if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
-            return 0.0  # over, by the rule that ends a flight
-        bins = tuple(row for row in bins if row.current_A >= min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A))
-        fallen_V = _mean_fall_V(bins) if len(bins) >= FEWEST_BINS else 0.0
-        if fallen_V <= 0.0 or fallen_V < RESOLVED_STEPS * min(row.step_V for row in bins):
-            return math.inf
-        slope_left_s = _by_mean_slope_s(bins, fallen_V, cutoff_V)
-        if slope_left_s > LEVEL * SIGHT_S:
-            return math.inf
-        rows = np.array([(*row[:3], lag_V) for row, lag_V in zip(bins, _lags_V(bins, fast_V, slow_V), strict=True)])
-        rows[:, 0] -= rows[-1, 0]
-        left_s = max(_fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V) for window_s in WINDOWS_S)
-        if left_s <= SIGHT_S:
-            return left_s
-        return NAN if slope_left_s <= SIGHT_S else math.inf
 
-    def _of_one_kind(self) -> tuple[FallBin, ...]:
-        """Return the bins with a current, if the last one has it; else all bins, without currents.
+def _of_one_kind(bins: tuple[FallBin, ...]) -> tuple[FallBin, ...]:
+    """Return the bins with a current, if the last one has it; else all bins, without currents.
 
-        With a current of 0 in every bin the fit has neither sag nor lag.
-        """
-        if self.bins[-1].is_metered:
-            return tuple(row for row in self.bins if row.is_metered)
-        return tuple(row._replace(current_A=0.0, lagging=LaggingCurrents(NAN, 0.0, 0.0)) for row in self.bins)
+    With a current of 0 in every bin the fit has neither sag nor lag.
+    """
+    if bins[-1].is_metered:
+        return tuple(row for row in bins if row.is_metered)
+    return tuple(row._replace(current_A=0.0, lagging=LaggingCurrents(NAN, 0.0, 0.0)) for row in bins)
 
 
 def _lags_V(bins: tuple[FallBin, ...], fast_V: float, slow_V: float) -> list[float]:
@@ -229,10 +225,11 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
 class VoltageBound(NamedTuple):
     """VoltageBound holds the fall of the voltage and the ends that it has shown; it is a value, replaced at each row.
 
-    One look may be chance: the bound is the latest end of the last SURE_LOOKS looks that told one.
+    bins : the last minute, the open bin last. One look may be chance: the bound is the latest end of the last
+    SURE_LOOKS looks that told one.
     """
 
-    fall: Fall = Fall()
+    bins: tuple[FallBin, ...] = ()
     ends_s: tuple[float, ...] = (math.inf,) * SURE_LOOKS
     lagging: LaggingCurrents = LaggingCurrents()
 
@@ -245,18 +242,19 @@ class VoltageBound(NamedTuple):
         if not math.isfinite(volts):
             return self
         lagging = self.lagging.after(time_s, amps, pack.cell)
-        *closed, last = self.fall.bins or (NO_BIN,)
+        last = self.bins[-1] if self.bins else NO_BIN
         if 0.0 <= time_s - last.begin_s < BIN_S and math.isfinite(amps) is last.is_metered:
-            return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s, lagging)
+            return VoltageBound((*self.bins[:-1], last.with_row(volts, amps)), self.ends_s, lagging)
+        new = FallBin(time_s, volts, amps, lagging, last_V=volts, step_V=_changed_V(last.last_V, volts))
+        bins = (*_last_minute(self.bins, time_s), new)
         cells, cutoff_V = float(pack.installation.cells), float(pack.at_weakest_cell(below_V).cutoff_V)
         x = belief.mean if belief is not None else np.zeros(SIZE)
-        new = FallBin(time_s, volts, amps, lagging, last_V=volts, step_V=_changed_V(last.last_V, volts))
-        fall = self.fall.with_bin(new)  # once a second is often enough to look
-        left_s = fall.time_left_s(cells, cutoff_V, cells * float(x[X.POLARISATION]), cells * float(x[X.DIFFUSION]))
+        fast_V, slow_V = cells * float(x[X.POLARISATION]), cells * float(x[X.DIFFUSION])
+        left_s = fall_left_s(bins, cells, cutoff_V, fast_V, slow_V)  # once a second is often enough to look
         if math.isnan(left_s) and self.left_s(time_s) <= STANDS_S:
-            return VoltageBound(fall, self.ends_s, lagging)
+            return VoltageBound(bins, self.ends_s, lagging)
         end_s = math.inf if math.isnan(left_s) else time_s + left_s
-        return VoltageBound(fall, (*self.ends_s[1:], end_s), lagging)
+        return VoltageBound(bins, (*self.ends_s[1:], end_s), lagging)
 
     def left_s(self, time_s: float) -> float:
         """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""

@@ -1,1 +1,1 @@
-"""Simulated flights, for tests and for those who integrate uavbatt."""
+"""Simulated flights and the logs they are written to, for tests and for those who integrate uavbatt."""

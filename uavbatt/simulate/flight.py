@@ -17,15 +17,15 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS, effect_named, unit_words
 from uavbatt.battery.model import Array, Parameters
-from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.pack import Installation, compensated_voltage, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
 from uavbatt.files import atomic_write
 from uavbatt.records import Sample
+from uavbatt.simulate.dataflash_writer import write_dataflash
 from uavbatt.simulate.route import Autopilot, RouteFlight
-from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
-from uavbatt.telemetry.formats.route_writer import dataflash_records, tlog_messages
-from uavbatt.telemetry.formats.tlog_writer import write_tlog
+from uavbatt.simulate.route_writer import dataflash_records, tlog_messages
+from uavbatt.simulate.tlog_writer import write_tlog
 
 IDLE_S, AFTER_END_S = 20.0, 20.0
 IDLE_SHARE = 0.03
@@ -136,9 +136,10 @@ def _row(
     installation = pack.installation
     noise: Array = random.standard_normal(3) * np.array(SENSOR_SD) * np.array([installation.cells, 1.0, 1.0])
     metered_A = _metered(installation, current_A, true_V)
+    reported_V = compensated_voltage(installation, metered_voltage(installation, true_V), current_A)
     return Sample(
         time_s=time_s,
-        voltage_V=float(metered_voltage(installation, true_V)) + float(noise[0]),
+        voltage_V=float(reported_V) + float(noise[0]),
         current_A=max(metered_A + float(noise[1]), 0.0),
         temp_C=sensor_C + installation.offset_K + float(noise[2]),
         consumed_Ah=drawn_Ah,

@@ -22,7 +22,7 @@ from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, Path, path
-from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
+from uavbatt.simulate.route_writer import FlownRoute, RouteRow
 from uavbatt.telemetry.route.modes import px4_auto
 from uavbatt.telemetry.route.settings import return_settings
 

@@ -18,8 +18,14 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.records import NAN, PackFacts, Sample
-from uavbatt.telemetry.cleaning.plausibility import BOARD_START_C
-from uavbatt.telemetry.cleaning.readings import LEAP_C, CellsSeen, CurrentSeen, TemperatureSeen, VoltageSeen
+from uavbatt.telemetry.cleaning.readings import (
+    BOARD_START_C,
+    LEAP_C,
+    CellsSeen,
+    CurrentSeen,
+    TemperatureSeen,
+    VoltageSeen,
+)
 
 LATEST_S = 1e12  # 30,000 years: a later time is damaged
 NOTICED_CELL_SPREAD_V = 0.02

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.cleaning.plausibility import plausible_temperature_C
 
 HELD_CURRENT_S = 5.0
 LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
@@ -23,6 +22,11 @@ BROKEN_FALL_V = 1.0  # a cell that falls so far below its last seconds, under th
 ONE_CELL = 1.25  # a fall of fewer cells' voltage may be a cell that fails
 LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monitor is at fault
 CELL_SPREAD_TAU_S = 30.0
+MIN_CELL_C, MAX_CELL_C = -40.0, 85.0
+# A cell in a flying pack has a thermal time constant of minutes: a reading that moves faster is a chip's, or noise.
+MAX_SLOPE_K_PER_S = 1.0
+SLACK_K = 1.0  # sensors with 1 K resolution step by 1 K
+BOARD_START_C = 40.0  # 42 to 54 °C were seen in a flight controller whose sensor is on its circuit board
 
 
 class VoltageSeen(NamedTuple):
@@ -86,6 +90,19 @@ class TemperatureSeen(NamedTuple):
             return self, NAN
         is_board = self.is_board or (not math.isfinite(self.temp_C) and temp_C > hottest_start_C)
         return TemperatureSeen(temp_C, time_s, is_board), NAN if is_board else temp_C
+
+
+def plausible_temperature_C(temp_C: float, previous_C: float = NAN, elapsed_s: float = NAN) -> float:
+    """Return `temp_C` [°C] if a cell may have it, else NaN.
+
+    previous_C : the last plausible reading [°C]; elapsed_s : its age [s]; NaN where there was none. Fields that are
+    not set read exactly 0.0, which is not used; a real 0.00 °C costs one row.
+    """
+    if not MIN_CELL_C <= temp_C <= MAX_CELL_C or temp_C == 0.0:
+        return NAN
+    if abs(temp_C - previous_C) > SLACK_K + MAX_SLOPE_K_PER_S * max(elapsed_s, 0.0):
+        return NAN
+    return temp_C
 
 
 class CurrentSeen(NamedTuple):

@@ -38,6 +38,7 @@ from uavbatt.telemetry.route.messages import (
 from uavbatt.telemetry.route.settings import NAMES
 
 CONFIRMED_WITHIN_S = 60.0
+LAST_BEAT_S = 10.0  # slow radios carry a heartbeat every 5 s
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
@@ -114,8 +115,12 @@ class Vehicle:
 
     @property
     def armed(self) -> bool | None:
-        """Return the armed bit of the last heartbeat; None before it."""
-        return self._log.armed
+        """Return the armed bit of the last heartbeat; None before it, and if the last that was disarmed is old.
+
+        Some routers send heartbeats on one way and telemetry on another: a vehicle heard on the ground has flown since.
+        """
+        is_old = self.now_s - self._beat_s > LAST_BEAT_S
+        return None if is_old and self._log.armed is False else self._log.armed
 
     @property
     def is_beating(self) -> bool:

@@ -9,13 +9,18 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from statistics import median
 
+from uavbatt.limits import KELVIN
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
-from uavbatt.telemetry.cleaning.plausibility import sag_correlation, temperature_verdict
+from uavbatt.telemetry.cleaning.readings import BOARD_START_C, MAX_CELL_C, MAX_SLOPE_K_PER_S, MIN_CELL_C, SLACK_K
 from uavbatt.telemetry.quality.drawn import drawn
 from uavbatt.telemetry.quality.trust import LogFigures, verdict
 
 SHOWN_GAPS = 5
+_LIVE_AFTER_S = 120.0  # in a shorter record a sound sensor may be constant
+_MIN_STEPS = 20
+_MIN_STEP_A = 1.0
+_MAX_STEP_S = 5.0
 _OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 
@@ -147,3 +152,39 @@ def _gaps(gaps: Sequence[tuple[float, float]]) -> str:
         return "none"
     listed = ", ".join(f"{length_s:.1f} s at {start_s:.0f} s" for start_s, length_s in gaps[:SHOWN_GAPS])
     return f"{len(gaps)}: {listed}" + (", ..." if len(gaps) > SHOWN_GAPS else "")
+
+
+def temperature_verdict(samples: Sequence[Sample]) -> str:
+    """Judge the temperature of a log: `absent`, `plausible`, or the reason why it is doubtful."""
+    rows = [(s.time_s, s.temp_C) for s in samples if math.isfinite(s.temp_C)]
+    if not rows:
+        return "absent"
+    if all(KELVIN[0] <= temp_C <= KELVIN[1] for _, temp_C in rows):
+        return "impossible values (kelvin?)"
+    if any(not MIN_CELL_C <= temp_C <= MAX_CELL_C for _, temp_C in rows):
+        return "impossible values (unit?)"
+    if len({temp_C for _, temp_C in rows}) == 1 and rows[-1][0] - rows[0][0] >= _LIVE_AFTER_S:
+        return "constant (no live sensor?)"
+    if rows[0][1] > BOARD_START_C:
+        return "hot from the start (board sensor?)"
+    jumps = sum(abs(c1 - c0) > SLACK_K + MAX_SLOPE_K_PER_S * (t1 - t0) for (t0, c0), (t1, c1) in pairwise(rows))
+    return "jumps (not a cell's temperature?)" if jumps > len(rows) // 100 else "plausible"
+
+
+def sag_correlation(samples: Sequence[Sample]) -> float:
+    """Return the correlation of voltage steps with current steps; NaN with fewer than 20 steps above 1 A.
+
+    Near -1 both were measured at the same instant. Near 0 they were not (smart packs), or the autopilot has removed the
+    sag from the voltage.
+    """
+    steps = [
+        (b.voltage_V - a.voltage_V, b.current_A - a.current_A)
+        for a, b in pairwise(samples)
+        if 0 < b.time_s - a.time_s <= _MAX_STEP_S
+    ]
+    steps = [(dv, di) for dv, di in steps if math.isfinite(dv) and abs(di) > _MIN_STEP_A]
+    if len(steps) < _MIN_STEPS:
+        return NAN
+    cross = sum(dv * di for dv, di in steps)
+    scale = math.sqrt(sum(dv * dv for dv, _ in steps) * sum(di * di for _, di in steps))
+    return cross / scale if scale > 0 else 0.0

@@ -27,7 +27,7 @@ from uavbatt.validation.iso5725.intermediate import crossed
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging.corridor import shared_table
 from uavbatt.validation.judging.finding import Finding
-from uavbatt.validation.judging.independence import dependence
+from uavbatt.validation.judging.independence import Dependence, dependence
 
 SAME = "all repeated results are equal: the resolution of the meter hides how they differ"
 
@@ -60,14 +60,8 @@ def reproducibility_claim(
     shared = shared_table(levels).table
     k, linked = shared.shape[1], dependence(shared, resolution=instruments.voltage_resolution_V or 0.0)
     p_value = {"samples": float(k), "p_dependence": linked.p_value}
-    if k < LEAST_SAMPLES:
-        also = ", and they depend on each other" if linked.dependent else ""
-        share = f" of {all_k} share their occasions" if k < (all_k := len(levels.samples)) else ""
-        return not_judged(f"{k} sample(s){share}{also}: at least {LEAST_SAMPLES} are needed", p_value)
-    if linked.dependent is not False:
-        unknown = "too few runs to tell whether the samples are independent"
-        reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
-        return not_judged(reason, p_value)
+    if why_not := _why_not_independent(k, len(levels.samples), linked):
+        return not_judged(why_not, p_value)
     at = gate.judged_instants(held_out, limits, cutoff_V)
     if not at.size:
         return not_judged("no instant can be judged", p_value)
@@ -88,6 +82,17 @@ def reproducibility_claim(
     full_reason = f"{k} samples of one make in one laboratory: {reason}"
     return Claim(name, held_out.ambient_C, verdict, full_reason, False, held_out.time_s[at], bias, half, guard,
                  limits.voltage_V, "V", statistics={**p_value, "A_R": A_R, "least_df": float(df.min())})  # fmt: skip
+
+
+def _why_not_independent(k: int, all_k: int, linked: Dependence) -> str:
+    """Return why `k` samples, of `all_k`, tell nothing of another one; empty if they are enough and independent."""
+    if k < LEAST_SAMPLES:
+        also = ", and they depend on each other" if linked.dependent else ""
+        share = f" of {all_k} share their occasions" if k < all_k else ""
+        return f"{k} sample(s){share}{also}: at least {LEAST_SAMPLES} are needed"
+    if linked.dependent is None:
+        return "too few runs to tell whether the samples are independent"
+    return f"the samples depend on each other (p = {linked.p_value:.1g})" if linked.dependent else ""
 
 
 def _random_samples(table: Array) -> tuple[Array, Array]:

@@ -113,18 +113,22 @@ def _scatter(cells: list[Array], instants: int) -> _Found | None:
 
 
 def _mean(cells: list[Array], instants: int) -> _Found | None:
-    """Return the sample with an outlying mean at one instant, if there is one: the farther end, if both are."""
+    """Return the sample with an outlying mean at one instant, if there is one: the farther end, if both are.
+
+    Means of the others that are equal to the last digit are so by the resolution of the meter: any fourth one would be
+    an outlier beside them, and nothing is said.
+    """
     measured = [j for j, c in enumerate(cells) if len(c)]
     if len(measured) < LEAST_SAMPLES:
         return None
     means = np.array([float(np.mean(cells[j])) for j in measured])
     test = outliers.grubbs(means)
     statistic, index, verdict = test.ends[0]
-    if verdict != "outlier":
+    others = np.delete(means, index)
+    if verdict != "outlier" or np.ptp(others) <= 1e-9 * np.max(np.abs(others)):
         return None
     strict = outliers.grubbs_critical(means.size, OUTLIER / instants)
-    others = float(np.mean(np.delete(means, index)))
-    return _Found(measured[index], float(means[index]), others, statistic, test.critical_1, strict)
+    return _Found(measured[index], float(means[index]), float(np.mean(others)), statistic, test.critical_1, strict)
 
 
 class Apart(NamedTuple):

@@ -20,6 +20,7 @@ from uavbatt.validation.judging.finding import NAMES, UNITS, Finding, minutes
 from uavbatt.validation.judging.independence import DEPENDENT_BELOW, bimodality, independence, resolution
 from uavbatt.validation.judging.outlying import inconsistent_samples, likely_misprints, outlying_runs, samples_apart
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
+from uavbatt.validation.judging.same_test import not_the_same_test
 from uavbatt.validation.study import paper
 
 # Correlation of two samples: above it the second leaves a third of the variance at most.
@@ -43,7 +44,7 @@ def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tup
             all_findings += [*_drift(levels), *inconsistent_samples(levels), *outlying_runs(levels)]
             all_findings += samples_apart(readings, levels)
             all_findings += [*_two_groups(dataset, levels), *_coarse(dataset, levels)]
-    all_findings += [*likely_misprints(readings), *_breaks(readings)]
+    all_findings += [*likely_misprints(readings), *_breaks(readings), *not_the_same_test(readings, ambient_C)]
     rank = {"serious": 0, "warning": 1, "note": 2}
     return tuple(sorted(all_findings, key=lambda f: rank[f.severity]))
 

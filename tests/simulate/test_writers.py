@@ -12,8 +12,8 @@ import pytest
 from pymavlink import mavutil
 
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
-from uavbatt.telemetry.formats.tlog_writer import EPOCH_US, cell_fields_mV, current_cA, write_tlog
+from uavbatt.simulate.dataflash_writer import write_dataflash
+from uavbatt.simulate.tlog_writer import EPOCH_US, cell_fields_mV, current_cA, write_tlog
 
 PARAMETERS = {"BATT_CAPACITY": 5016.0, "BATT_LOW_VOLT": 14.0, "BATT_CRT_VOLT": 13.2}
 FLIGHT = (

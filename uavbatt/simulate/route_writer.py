@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.navigation import Home, Mission, Position, Wind
-from uavbatt.telemetry.formats.dataflash_layouts import CMD, EV, GPS, MISE, MODE, MSG, ORGN, POS, XKF2
-from uavbatt.telemetry.formats.tlog_writer import heartbeat
+from uavbatt.simulate.dataflash_layouts import CMD, EV, GPS, MISE, MODE, MSG, ORGN, POS, XKF2
+from uavbatt.simulate.tlog_writer import heartbeat
 from uavbatt.telemetry.route.commands import Fields, item_fields
 
 STATION = (255, 190)  # who downloaded the mission: a ground station

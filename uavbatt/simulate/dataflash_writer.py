@@ -19,7 +19,7 @@ from pathlib import Path
 
 from uavbatt.files import atomic_write
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.formats.dataflash_layouts import (
+from uavbatt.simulate.dataflash_layouts import (
     ARM,
     BAT,
     EV,
@@ -30,7 +30,7 @@ from uavbatt.telemetry.formats.dataflash_layouts import (
     ROUTE_LAYOUTS,
     MessageLayout,
 )
-from uavbatt.telemetry.formats.tlog_writer import ascending_us
+from uavbatt.simulate.tlog_writer import ascending_us
 
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 NO_SENSOR_C = 0.0

@@ -1,0 +1,105 @@
+"""Findings about runs that are not repeats of one test: copied, cut short, of another load, of another temperature.
+
+Statistics take such a run for scatter, or do not see it: a comparison ends with the shortest run, and a copy makes the
+repeats look better than they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from uavbatt.dataset_csv import Array, Run
+from uavbatt.validation.judging.finding import Finding
+from uavbatt.validation.judging.readings import Readings
+
+FEWEST_EQUAL = 20  # numbers: coarse readings of two short runs may be equal by chance
+FEWEST_REPEATS = 3
+SHORT_SHARE = 0.7  # of the median duration: worn packs of one type differ by less
+OTHER_LOAD = 0.1  # of the median current
+FAR_FROM_AIR_K = 10.0  # a pack that has lain at its ambient temperature begins with it
+SAME_TEMP_K = 3.0
+MOST_NAMED = 6
+
+
+def not_the_same_test(readings: Readings, ambient_C: float) -> Iterator[Finding]:
+    """Find copied runs and wrong temperatures in all tests, and other loads and cut runs among those at `ambient_C`."""
+    runs = readings.dataset.runs
+    yield from _copies(runs)
+    yield from _far_from_air(runs)
+    repeats = readings.dataset.at(ambient_C)
+    if len(repeats) >= FEWEST_REPEATS:
+        yield from _cut_short(repeats)
+        yield from _other_load(repeats)
+
+
+def _copies(runs: Sequence[Run]) -> Iterator[Finding]:
+    pairs = [(a, b) for a, b in combinations(runs, 2) if _equal_numbers(a, b) >= FEWEST_EQUAL]
+    if pairs:
+        named = _list([f"{_name(b)} is {_name(a)}" for a, b in pairs])
+        detail = f"All readings are equal, to the last digit: {named}. A copy is no repeat: leave it out."
+        title = "A run is a copy of another" if len(pairs) == 1 else f"{len(pairs)} runs are copies of others"
+        yield Finding("copied_run", title, detail, "serious", {"pairs": len(pairs)})
+
+
+def _equal_numbers(a: Run, b: Run) -> int:
+    """Return how many readings that change within a run are the same in both; 0 if one of them differs."""
+    if len(a.time_s) != len(b.time_s):
+        return 0
+    columns = [(x, y) for x, y in zip(_columns(a), _columns(b), strict=True) if not np.all(np.isnan(x))]
+    if not all(np.array_equal(x, y, equal_nan=True) for x, y in columns):
+        return 0
+    return sum(int(np.sum(~np.isnan(x))) for x, _ in columns if np.nanmin(x) < np.nanmax(x))
+
+
+def _columns(run: Run) -> tuple[Array, ...]:
+    return run.voltage_V, run.current_A, run.surface_C
+
+
+def _far_from_air(runs: Sequence[Run]) -> Iterator[Finding]:
+    first = [(run, float(run.surface_C[0]) - run.ambient_C) for run in runs]
+    far = [(run, off_K) for run, off_K in first if abs(off_K) > FAR_FROM_AIR_K]
+    if far:
+        named = _list([f"{_name(run)} with {run.surface_C[0]:g} °C" for run, _ in far])
+        is_fahrenheit = all(abs((run.surface_C[0] - 32.0) / 1.8 - run.ambient_C) < SAME_TEMP_K for run, _ in far)
+        cause = "degrees Fahrenheit?" if is_fahrenheit else "another ambient temperature than stated, or a warm pack?"
+        title = f"{len(far)} run{'s begin' if len(far) > 1 else ' begins'} far from the stated ambient temperature"
+        most_K = max((off_K for _, off_K in far), key=abs)
+        yield Finding("surface_far_from_ambient", title, f"{named} ({cause}).", "warning", {"off_K": most_K})
+
+
+def _cut_short(repeats: Sequence[Run]) -> Iterator[Finding]:
+    lasts_s = np.array([run.time_s[-1] - run.time_s[0] for run in repeats])
+    usual_s = float(np.median(lasts_s))
+    short = [(run, s) for run, s in zip(repeats, lasts_s, strict=True) if s < SHORT_SHARE * usual_s]
+    if short:
+        named = _list([f"{_name(run)} lasts {s / 60:.3g} min" for run, s in short])
+        detail = f"{named}; half of the runs last {usual_s / 60:.3g} min. What comes later is not compared."
+        title = (
+            f"{len(short)} run{'s are' if len(short) > 1 else ' is'} much shorter than the others (cut, or minutes?)"
+        )
+        yield Finding("short_run", title, detail, "warning", {"shortest_s": float(np.min(lasts_s)), "usual_s": usual_s})
+
+
+def _other_load(repeats: Sequence[Run]) -> Iterator[Finding]:
+    means_A = np.array([float(np.mean(run.current_A)) for run in repeats])
+    if np.sum(np.isfinite(means_A)) < FEWEST_REPEATS:
+        return
+    usual_A = float(np.nanmedian(means_A))
+    other = [(run, a) for run, a in zip(repeats, means_A, strict=True) if abs(a - usual_A) > OTHER_LOAD * abs(usual_A)]
+    if other:
+        named = _list([f"{_name(run)} with {a:.3g} A" for run, a in other])
+        detail = f"{named}; half of the runs draw {usual_A:.3g} A or more. The voltages of other loads are no repeats."
+        title = f"{len(other)} run{'s have' if len(other) > 1 else ' has'} another load than the others"
+        worst_A = max((a for _, a in other), key=lambda a: abs(a - usual_A))
+        yield Finding("other_load", title, detail, "warning", {"mean_A": worst_A, "usual_A": usual_A})
+
+
+def _name(run: Run) -> str:
+    return f"run {run.run} of sample {run.sample} at {run.ambient_C:g} °C"
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")
