@@ -19,6 +19,7 @@ from uavbatt.estimator import Estimator, EstimatorMemory
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
 from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
+from uavbatt.prediction import route_load
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, MODEL_SD, FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
@@ -94,6 +95,17 @@ def test_a_headwind_on_the_way_home_brings_the_turn_back_forward() -> None:
     wait = to(1, 0.0, FAR_M, 350.0, hold_s=3000.0)
     head, tail = (route(known(wait, wind=Wind(0.0, east_ms))) for east_ms in (8.0, -8.0))
     assert head.turn_back_s < tail.turn_back_s - 5.0
+
+
+def test_a_wind_that_is_not_known_exactly_makes_the_turn_back_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths_s = []
+    for sd_ms in (0.0, 10.0):
+        monkeypatch.setattr(route_load, "WIND_SD_MS", sd_ms)
+        navigation = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0), wind=Wind(0.0, 8.0))
+        told = flown.__wrapped__(navigation)[-1].route  # not from the cache
+        assert told is not None
+        widths_s.append(told.turn_back_hi_s - told.turn_back_lo_s)
+    assert widths_s[1] > widths_s[0] + 30.0
 
 
 def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
