@@ -133,8 +133,6 @@ def voltage_under(emf_V: Number, series_ohmAh: Number, under: UnderLoad) -> Numb
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
     """Return c R_t [V], the immediate drop of a slow reaction."""
-    if not eq.is_on(p.transfer_V):
-        return 0.0
     return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)
 
 

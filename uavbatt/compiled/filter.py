@@ -18,7 +18,7 @@ from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.compiled.jit import as_numbers, compiled, share
-from uavbatt.compiled.member import predict, settle, update
+from uavbatt.compiled.member import predict, settle, shown_V, update
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
 from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
@@ -172,12 +172,11 @@ def show_within(
     for row in taken:
         shown[row, 2] = shown[row, 3] = 0.0
     for k in range(log_weight.size):
-        weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
+        weight, now, at = np.exp(log_weight[k]), b.unpack(pack, x[k]), x[k].copy()
         for row in taken:
-            left = x[k, X.SOC] - drawn_As[row] / (3600.0 * now.installation.present_capacity_Ah)
-            between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
-            shown[row, 2] += weight * b.reported_voltage(pack, between, x[k, X.BIAS], current_A[row])
-            shown[row, 3] += weight * left
+            at[X.SOC] = x[k, X.SOC] - drawn_As[row] / (3600.0 * now.installation.present_capacity_Ah)
+            shown[row, 2] += weight * shown_V(pack, now, at, X.SOC, current_A[row])
+            shown[row, 3] += weight * at[X.SOC]
     for row in taken:
         shown[row, 0] = voltage_V[row] - shown[row, 2]
 

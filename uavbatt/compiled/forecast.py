@@ -18,7 +18,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.battery.state_space import X
-from uavbatt.compiled.jit import as_numbers, compiled
+from uavbatt.compiled.jit import as_numbers, compiled, compiled_numbers
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.draws import Flying
@@ -59,7 +59,7 @@ def time_to_end(flying: Flying, wander: Normals, least_soc: Array) -> tuple[Arra
     return end_s, low_s
 
 
-@compiled
+@compiled_numbers
 def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2: Array, j: int) -> tuple[float, float]:
     """Return the end of flight and the low-voltage warning [s] of draw `j`; inf beyond the horizon.
 
@@ -100,7 +100,7 @@ def time_to_end_one(flying: Flying, wander: Normals, least_soc: float, gained_V2
     return end.at_s, min(low.at_s, end.at_s)
 
 
-@compiled
+@compiled_numbers
 def fallen(by_rows: bool, k: int, before: MarginFall, margin: float, earlier_s: float, at_s: float) -> MarginFall:
     """Return the fall of a margin after step `k`, from that `before` it.
 
@@ -116,7 +116,7 @@ def fallen(by_rows: bool, k: int, before: MarginFall, margin: float, earlier_s: 
     return MarginFall(crossing(k, before.last, margin, earlier_s, at_s) if margin < 0.0 else np.inf, margin, below)
 
 
-@compiled
+@compiled_numbers
 def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
     """Return the instant [s] at which the fall from `above` to `under` passed zero (`time_to_end._mean_crossing`)."""
     return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0

@@ -15,7 +15,7 @@ from uavbatt.battery.model import Array, State
 from uavbatt.battery.pack import c_rate
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
-from uavbatt.compiled.jit import compiled, share
+from uavbatt.compiled.jit import compiled, compiled_numbers, laid_in, share
 from uavbatt.compiled.kalman import PER_NUDGES, joseph, predicted_covariance, projected
 from uavbatt.estimation import noise
 from uavbatt.estimation.kalman import NUDGE
@@ -24,7 +24,7 @@ from uavbatt.estimation.recursion import FULL_SOC_SD, GATE
 share(noise)
 
 
-@compiled
+@laid_in
 def unpack_beside(pack: Pack, now: b.Unpacked, at: Array, j: int) -> b.Unpacked:
     """Return the model's records for `at`, which differs in component `j` from the vector whose records are `now`."""
     if j == X.LOG_RESISTANCE or j == X.LOG_CAPACITY or j == X.REACTION:
@@ -33,10 +33,18 @@ def unpack_beside(pack: Pack, now: b.Unpacked, at: Array, j: int) -> b.Unpacked:
     return b.Unpacked(now.cell, now.installation, state)
 
 
-@compiled
-def moved(now: b.Unpacked, mean_A: float, ambient_C: float, over: model.Stride) -> State:
-    """Return the state of a cell after a stride under the pack current `mean_A` [A]."""
-    return model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, over)
+@compiled_numbers
+def moved(pack: Pack, now: b.Unpacked, at: Array, j: int, mean_A: float, ambient_C: float, over: model.Stride) -> State:
+    """Return the state of `unpack_beside` after a stride under the pack current `mean_A` [A]."""
+    cell, installation, state = unpack_beside(pack, now, at, j)
+    return model.advance_by(cell, state, c_rate(installation, mean_A), ambient_C, over)
+
+
+@compiled_numbers
+def shown_V(pack: Pack, now: b.Unpacked, at: Array, j: int, current_A: float) -> float:
+    """Return the voltage [V] that is reported of `unpack_beside` under the pack current `current_A` [A]."""
+    found: float = b.reported_voltage(pack, unpack_beside(pack, now, at, j), at[X.BIAS], current_A)
+    return found
 
 
 @compiled
@@ -50,16 +58,16 @@ def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_
         if j == X.BIAS:
             continue
         at[j] = x[j] + NUDGE[j]
-        plus = moved(unpack_beside(pack, now, at, j), mean_A, ambient_C, over)
+        plus = moved(pack, now, at, j, mean_A, ambient_C, over)
         at[j] = x[j] - NUDGE[j]
-        minus = moved(unpack_beside(pack, now, at, j), mean_A, ambient_C, over)
+        minus = moved(pack, now, at, j, mean_A, ambient_C, over)
         at[j] = x[j]
         for i in range(X.SENSOR + 1):
             F[i, j] = (plus[i] - minus[i]) * PER_NUDGES[j]
     F[X.LOG_RESISTANCE, X.LOG_RESISTANCE] = F[X.LOG_CAPACITY, X.LOG_CAPACITY] = F[X.REACTION, X.REACTION] = 1.0
     F[X.BIAS, X.BIAS] = eq.decay(dt_s, pack.spread.bias_tau_s)
     q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
-    later = moved(now, mean_A, ambient_C, over)
+    later = moved(pack, now, x, X.SOC, mean_A, ambient_C, over)
     for i in range(X.SENSOR + 1):
         x[i] = later[i]
     x[X.BIAS] *= F[X.BIAS, X.BIAS]
@@ -81,13 +89,12 @@ def observe(pack: Pack, x: Array, current_A: float, H: Array) -> float:
         if j == X.SENSOR:
             continue
         at[j] = x[j] + NUDGE[j]
-        plus_V = b.reported_voltage(pack, unpack_beside(pack, now, at, j), at[X.BIAS], current_A)
+        plus_V = shown_V(pack, now, at, j, current_A)
         at[j] = x[j] - NUDGE[j]
-        minus_V = b.reported_voltage(pack, unpack_beside(pack, now, at, j), at[X.BIAS], current_A)
+        minus_V = shown_V(pack, now, at, j, current_A)
         at[j] = x[j]
         H[j] = (plus_V - minus_V) * PER_NUDGES[j]
-    expected_V: float = b.reported_voltage(pack, now, x[X.BIAS], current_A)
-    return expected_V
+    return shown_V(pack, now, x, X.SOC, current_A)
 
 
 @compiled

@@ -9,7 +9,7 @@ from numba.extending import overload
 
 from uavbatt.battery import model
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.compiled.jit import compiled
+from uavbatt.compiled.jit import compiled, compiled_numbers
 
 TABLES = ("ocv_V", "r0_ohmAh")
 
@@ -57,14 +57,18 @@ def walk(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Arr
     batch, rows = c_rate.shape
     out = np.empty((5, batch, rows))
     for j in range(batch):
-        cell = column(p, j)
         s = State(start.soc[j], start.polarisation_V[j], start.diffusion_V[j], start.core_C[j], start.sensor_C[j])
-        lags, lags_s = model.lags(cell, dt_s[j, 0]), dt_s[j, 0]
-        for k in range(rows):
-            if dt_s[j, k] != lags_s:
-                lags, lags_s = model.lags(cell, dt_s[j, k]), dt_s[j, k]
-            if k > 0:
-                s = model.step(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k], lags)
-            out[0, j, k], out[1, j, k], out[2, j, k] = s.soc, s.polarisation_V, s.diffusion_V
-            out[3, j, k], out[4, j, k] = s.core_C, s.sensor_C
+        walk_one(column(p, j), s, c_rate[j], dt_s[j], ambient_C[j], out[:, j])
     return out
+
+
+@compiled_numbers
+def walk_one(cell: Parameters, s: State, c_rate: Array, dt_s: Array, ambient_C: float, out: Array) -> None:
+    """Write the states of one column under `c_rate` [rows] into `out` [5, rows]."""
+    lags, lags_s = model.lags(cell, dt_s[0]), dt_s[0]
+    for k in range(dt_s.size):
+        if dt_s[k] != lags_s:
+            lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
+        if k > 0:
+            s = model.step(cell, s, c_rate[k], ambient_C, dt_s[k], lags)
+        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = s

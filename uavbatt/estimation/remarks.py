@@ -33,7 +33,7 @@ def remarks(
         found.append(Notice("no usable pack temperature", Kind.NO_TEMPERATURE))
     if pack.sag_compensated:
         found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
-    if is_metered and battery.is_measured and is_worn(known, battery):
+    if is_metered and is_worn(known, battery) and battery.is_measured:
         found.append(
             "this pack has more resistance than its type: aged, or colder than it says; less charge is expected"
         )

@@ -220,7 +220,8 @@ class UnknownAircraft:
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
         flown = now.recent.history
-        known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
+        by_chance = flown.minute_sd
+        known_sd = CHANGE_SD * by_chance / math.hypot(CHANGE_SD, by_chance)
         levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
         share = (np.arange(steps) + 0.5) * dt_s / now.left_s
         surging = share[:, None] >= SURGE_BEGINS

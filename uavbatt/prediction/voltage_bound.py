@@ -31,7 +31,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.records import NAN, Remaining, Sample, Status
 
-WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
+WINDOWS_S, LONGEST_WINDOW_S, BIN_S = (40.0, 60.0), 60.0, 1.0
 # Bins in a window, and the share of it that they span. With 0.7, a pack of four times the usual ohms was taken for an
 # emptying one in its first minute.
 FEWEST_BINS, LEAST_SPAN = 12, 0.85
@@ -130,7 +130,8 @@ def fall_left_s(
     judged = bins[-JUDGED_BINS:]
     if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
         return 0.0  # over, by the rule that ends a flight
-    bins = tuple(row for row in bins if row.current_A >= min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A))
+    least_A = min(IDLE_SHARE * bins[-1].current_A, bins[-1].current_A)
+    bins = tuple([row for row in bins if row.current_A >= least_A])
     fallen_V = _mean_fall_V(bins) if len(bins) >= FEWEST_BINS else 0.0
     if fallen_V <= 0.0 or fallen_V < RESOLVED_STEPS * min(row.step_V for row in bins):
         return math.inf
@@ -139,17 +140,21 @@ def fall_left_s(
         return math.inf
     rows = np.array([(*row[:3], lag_V) for row, lag_V in zip(bins, _lags_V(bins, fast_V, slow_V), strict=True)])
     rows[:, 0] -= rows[-1, 0]
-    left_s = max(_fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V) for window_s in WINDOWS_S)
-    if left_s <= SIGHT_S:
-        return left_s
-    return NAN if slope_left_s <= SIGHT_S else math.inf
+    left_s = 0.0
+    for window_s in WINDOWS_S:
+        by_window_s = _fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V)
+        if not by_window_s <= SIGHT_S:
+            return NAN if slope_left_s <= SIGHT_S else math.inf
+        left_s = max(left_s, by_window_s)
+    return left_s
 
 
 def _last_minute(bins: tuple[FallBin, ...], now_s: float) -> tuple[FallBin, ...]:
     """Return the bins that a window may hold at a time [s]; none after a clock that fell back."""
     if not bins or now_s < bins[-1].begin_s:
         return ()
-    return tuple(row for row in bins if now_s - row.begin_s <= max(WINDOWS_S))
+    first = next((k for k, row in enumerate(bins) if now_s - row.begin_s <= LONGEST_WINDOW_S), len(bins))
+    return bins[first:]
 
 
 def _of_one_kind(bins: tuple[FallBin, ...]) -> tuple[FallBin, ...]:
@@ -158,7 +163,7 @@ def _of_one_kind(bins: tuple[FallBin, ...]) -> tuple[FallBin, ...]:
     With a current of 0 in every bin the fit has neither sag nor lag.
     """
     if bins[-1].is_metered:
-        return tuple(row for row in bins if row.is_metered)
+        return tuple([row for row in bins if row.is_metered])
     return tuple(row._replace(current_A=0.0, lagging=LaggingCurrents(NAN, 0.0, 0.0)) for row in bins)
 
 
@@ -192,7 +197,7 @@ def _by_mean_slope_s(bins: tuple[FallBin, ...], fallen_V: float, cutoff_V: float
 
 
 def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
-    """Return the time left [s] by the fall over one window; infinite when no fall stands out of the scatter.
+    """Return the time left [s] by the fall over one window; infinite beyond SIGHT_S, or if no fall stands out.
 
     rows : [rows, 4] of time [s] (0 is now), voltage [V], current [A] and lagging overpotential [V].
     """
@@ -204,11 +209,12 @@ def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
     found, design = np.linalg.lstsq(sagging, volts + lag_V, rcond=None)[0], sagging
     if found[3] < 0.0:  # a sag has the other sign
         found, design = np.linalg.lstsq(curve, volts + lag_V, rcond=None)[0], curve
+    left_s = _crossing_s(float(found[0] - lag_V[-1]) - cutoff_V, float(found[1]), min(float(found[2]), 0.0))
+    if left_s > SIGHT_S:
+        return math.inf
     scatter_V2 = float(np.sum((volts + lag_V - design @ found) ** 2)) / (len(t) - found.size)
     slope_sd = math.sqrt(scatter_V2 * float(np.linalg.pinv(design.T @ design)[1, 1]))
-    if -found[1] < OUTSTANDING * slope_sd:
-        return math.inf
-    return _crossing_s(float(found[0] - lag_V[-1]) - cutoff_V, float(found[1]), min(float(found[2]), 0.0))
+    return math.inf if -found[1] < OUTSTANDING * slope_sd else left_s
 
 
 def _crossing_s(height_V: float, slope: float, bend: float) -> float:
