@@ -18,7 +18,7 @@ import numpy as np
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation.sensors import DEAD_S, REFUSED_STUCK_S, STUCK_S, LoadWatch, SensorChanges
+from uavbatt.estimation.sensors import DEAD_S, DOUBTED_S, REFUSED_STUCK_S, STUCK_S, LoadWatch, SensorChanges
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
@@ -36,9 +36,7 @@ STUCK_VOLTAGE = Notice("the voltage has not moved under load for half a minute: 
 STUCK_CURRENT = Notice(
     "the current has not moved for half a minute, as it does in flight: a stuck sensor?", Kind.STUCK_CURRENT
 )
-DEAD_CURRENT = Notice(
-    "the current fell to nothing while the voltage did not recover: a dead current sensor?", Kind.DEAD_CURRENT
-)
+DEAD_CURRENT = Notice("the current fell and the voltage did not rise: a failed current sensor?", Kind.DEAD_CURRENT)
 UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
 FAR_OFF = Notice(
     "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
@@ -125,6 +123,7 @@ class Monitor(NamedTuple):
         doubted = {
             STUCK_VOLTAGE: voltage_s >= STUCK_S,
             STUCK_CURRENT: current_s >= STUCK_S,
+            DEAD_CURRENT: time_s - load.gone_since_s >= DOUBTED_S,
             UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
         }
         refused = {
