@@ -8,8 +8,9 @@ from planted_flights import FILE, MISSIONS, fly
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
-from uavbatt.diagnosis.diagnosis import INSTANT_SD, INSTANT_SHARE, diagnose, instant_sd
+from uavbatt.diagnosis.diagnosis import INSTANT_SD, INSTANT_SHARE, Diagnosis, diagnose, instant_sd
 from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.log_replay.run import engine_for
 
 SIZE = PackOptions(4, 5.0, 13.2)
 MOVED = 0.5  # of R0, given to the polarisation
@@ -38,17 +39,21 @@ def split_wrongly(stated_sd: float) -> BatteryFile:
     )
 
 
+def judged(flown: list[ObservedRecord], file: BatteryFile) -> Diagnosis:
+    return diagnose(flown, file, pack_from(file, SIZE), engine=engine_for(is_long=True))
+
+
 def test_what_a_fit_could_not_split_is_no_resistance_of_the_leads(sound: list[ObservedRecord]) -> None:
     unsure, sure = split_wrongly(stated_sd=3.0 * MOVED), split_wrongly(stated_sd=0.0)
-    assert diagnose(sound, unsure, pack_from(unsure, SIZE)).verdict == "no_missing_effect"
-    found = diagnose(sound, sure, pack_from(sure, SIZE))  # the same flights, if the file says that it is sure
+    assert judged(sound, unsure).verdict == "no_missing_effect"
+    found = judged(sound, sure)  # the same flights, if the file says that it is sure
     assert found.verdict != "no_missing_effect"
 
 
 def test_a_lead_that_is_larger_than_the_doubt_is_found(sound: list[ObservedRecord]) -> None:
     unsure = split_wrongly(stated_sd=3.0 * MOVED)
     flown = [fly(ambient_C, power_W, seed, harness=0.025) for ambient_C, power_W, seed in MISSIONS]
-    found = diagnose(flown, unsure, pack_from(unsure, SIZE))
+    found = judged(flown, unsure)
     assert found.verdict == "effect_found" and "harness_resistance" in found.classes[0].members
 
 

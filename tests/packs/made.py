@@ -22,6 +22,6 @@ def flight(
         "source": f"flight_{number:02d}.tlog",
     }
     return FlightRecord(
-        told=told, cells=4, rated_Ah=RATED_AH, type_ohm=TYPE_OHM, battery="test", battery_sha256="0" * 64,
-        **{**stated, **others},
+        told=told, cells=4, rated_Ah=RATED_AH, type_ohm=TYPE_OHM, battery_sha256="0" * 64,
+        **{"battery": "test", **stated, **others},
     )  # fmt: skip

@@ -68,6 +68,20 @@ def test_the_generic_file_alone_retires_no_pack():
     assert generic.capacity_lo_Ah < 0.6 * RATED_AH and generic.capacity_hi_Ah > 0.85 * RATED_AH
 
 
+def test_ohms_above_those_of_the_generic_file_are_no_evidence_of_age():
+    """Of a pack with twice its ohms, a tenth of the capacity was taken for lost."""
+    told = {"ohm": 2.0, "charge": 1.0, "ohm_sd": 0.15, "charge_sd": 2.0}
+    own, generic = (ageing.history([flight(0, **told, battery=name)])[-1] for name in ("a-make", GENERIC))
+    assert charge(own) < 0.9 < charge(generic)
+    seen = outlook(generic.known, RATED_AH, 1, GENERIC)
+    assert seen.capacity_lo_Ah < 0.66 * RATED_AH and seen.capacity_hi_Ah > RATED_AH
+
+
+def test_a_flight_to_the_knee_is_believed_with_the_generic_file():
+    (worn,) = ageing.history([flight(0, 1.5, 0.68, charge_sd=0.05, battery=GENERIC)])
+    assert charge(worn) == pytest.approx(0.68, rel=0.04)
+
+
 def test_an_interval_from_now_to_never_is_no_date():
     found = ageing.history([flight(k, 1.0, 0.86) for k in range(8)])
     assert retire_words(outlook(found[-1].known, RATED_AH, 8, GENERIC)) == "not known when to retire it"

@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from functools import cache
 
+import msgspec
+import numpy as np
 import pytest
 from factories import generic_pack, with_spread
 from route_rig import HOME, POWERS, SETTINGS, mission, to
@@ -17,8 +19,9 @@ from uavbatt.estimator import Estimator, EstimatorMemory
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
 from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
+from uavbatt.prediction import route_load
 from uavbatt.prediction.batch import end_times
-from uavbatt.prediction.flight_lessons import FlightLessons
+from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, MODEL_SD, FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
@@ -92,6 +95,17 @@ def test_a_headwind_on_the_way_home_brings_the_turn_back_forward() -> None:
     wait = to(1, 0.0, FAR_M, 350.0, hold_s=3000.0)
     head, tail = (route(known(wait, wind=Wind(0.0, east_ms))) for east_ms in (8.0, -8.0))
     assert head.turn_back_s < tail.turn_back_s - 5.0
+
+
+def test_a_wind_that_is_not_known_exactly_makes_the_turn_back_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths_s = []
+    for sd_ms in (0.0, 10.0):
+        monkeypatch.setattr(route_load, "WIND_SD_MS", sd_ms)
+        navigation = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0), wind=Wind(0.0, 8.0))
+        told = flown.__wrapped__(navigation)[-1].route  # not from the cache
+        assert told is not None
+        widths_s.append(told.turn_back_hi_s - told.turn_back_lo_s)
+    assert widths_s[1] > widths_s[0] + 30.0
 
 
 def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
@@ -346,3 +360,16 @@ def test_what_was_flown_before_a_payload_was_taken_up_counts_less() -> None:
         for _ in range(900):
             level = level.with_power_ratio(ratio, 1.0)
     assert 1.12 < level.level(POWERS)[0] < 1.2
+
+
+def test_a_long_flight_tells_its_level_as_well_as_its_rows_allow() -> None:
+    """Older rows count less: the sd of the mean is that of independent rows with these weights."""
+    lessons, noise = FlightLessons(), np.random.default_rng(3)
+    seconds = 3600
+    ages_s = np.arange(seconds)
+    weights = np.exp(-ages_s / LEVEL_TAU_S)
+    means = noise.normal(0.0, 1.0, (4000, seconds // 16)) @ weights[::16] / weights[::16].sum()  # alike for 16 s
+    for _ in ages_s:
+        lessons = lessons.with_power_ratio(1.0, 1.0)
+    powers = msgspec.structs.replace(POWERS, level_sd=2.0, row_sd=0.1)
+    assert lessons.level(powers)[1] == pytest.approx(math.hypot(MODEL_SD, 0.1 * means.std()), rel=0.05)

@@ -14,7 +14,7 @@ from uavbatt.battery.powers import TURN_S, power, terms
 from uavbatt.navigation import Action, Mode, Navigation, Position
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_load import RouteLoad
+from uavbatt.prediction.route_load import WIND_SD_MS, RouteLoad, airspeed_slopes, factors, wind_errors_ms
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
 from uavbatt.prediction.route_pieces import LegTiming, Pieces
 from uavbatt.prediction.route_progress import Progress
@@ -146,15 +146,19 @@ def test_the_power_of_a_turn_tells_no_payload() -> None:
     assert level(300.0) == pytest.approx(level(160.0), abs=1e-6)
 
 
-def spread_at(airspeed_ms: float, fastest_ms: float | None) -> float:
-    """Relative sd between the scenarios of the power of a piece at an airspeed; the law was learned up to another."""
+def load_at(airspeed_ms: float, fastest_ms: float | None = None) -> RouteLoad:
+    """The load of one piece at an airspeed; the law was learned up to another."""
     one = LegTiming(wind=(SPEED_MS - airspeed_ms, 0.0)).pieces(
         path(mission(to(1, 2000.0, 0.0, 30.0)), HOME, FAST).table
     )
     there = one.of(one.seq == 1).of(slice(-1, None))
     powers = msgspec.structs.replace(POWERS, fastest_ms=fastest_ms)
-    load = RouteLoad(ahead=Ahead(Point(0.0, 0.0, 30.0), there), powers=powers, level=1.0, level_sd=0.0)
-    powers_W = load.steady(np.array([5.0])).power_W[0]
+    return RouteLoad(ahead=Ahead(Point(0.0, 0.0, 30.0), there), powers=powers, level=1.0, level_sd=0.05)
+
+
+def spread_at(airspeed_ms: float, fastest_ms: float | None) -> float:
+    """Relative sd between the scenarios of the power of a piece at an airspeed; the law was learned up to another."""
+    powers_W = replace(load_at(airspeed_ms, fastest_ms), level_sd=0.0).steady(np.array([5.0])).power_W[0]
     return float(np.std(np.log(powers_W)))
 
 
@@ -164,3 +168,14 @@ def test_the_power_beyond_the_learned_airspeeds_is_known_less_and_less() -> None
     assert within == pytest.approx(POWERS.fast_sd, rel=0.02)
     assert 1.3 * within < near < far / 1.5
     assert spread_at(20.0, fastest_ms=20.0) == spread_at(20.0, fastest_ms=None) == pytest.approx(within)
+
+
+def test_a_wind_that_is_not_known_exactly_counts_where_the_power_depends_on_the_airspeed() -> None:
+    hover, fast = (float(airspeed_slopes(load_at(v))[0]) for v in (0.5, 15.0))
+    assert abs(hover) < 0.02 < fast
+
+
+def test_the_wind_is_drawn_beside_level_fast_flight_and_time() -> None:
+    drawn = np.vstack([np.log(factors(load_at(15.0))), wind_errors_ms()])
+    assert np.corrcoef(drawn) == pytest.approx(np.eye(4), abs=1e-9)
+    assert drawn[3].std() == pytest.approx(WIND_SD_MS) and drawn[3].mean() == pytest.approx(0.0, abs=1e-9)

@@ -1,7 +1,7 @@
 """The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
 
 It is a least-squares fit with a prior (momentum theory and other aircraft). Power is a share of each flight's own hover
-power, which is fitted in turn with the shape, so that flights with a payload also give the shape (a payload scales all
+power, which is fitted together with the shape, so that flights with a payload also give the shape (a payload scales all
 but the drag). The model of the shape has an error of its own, which limits the weight of many blocks at the same
 airspeed and climb: so the few blocks at high airspeed count too.
 """
@@ -114,7 +114,7 @@ def _fit(rows_by_flight: list[PowerRows], induced_ms: float) -> tuple[float, Pow
 
 
 def _law(rows_by_flight: list[PowerRows], induced_ms: float) -> PowerLaw:
-    """Fit the shares of all flights and the hover power of each in turns, as each needs the other."""
+    """Fit the shares of all flights and the hover power of each; the turns follow what is not linear."""
     columns = plain = [terms(*rows[1:5], induced_ms) for rows in rows_by_flight]
     of_each = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in rows_by_flight]
     counts, crowd = np.concatenate(of_each), _crowds(rows_by_flight, of_each)
@@ -126,9 +126,13 @@ def _law(rows_by_flight: list[PowerRows], induced_ms: float) -> PowerLaw:
         flights = zip(rows_by_flight, columns, np.split(weight, ends), strict=True)
         hovers_W = np.array([_hover_W(rows, c, w, shares) for rows, c, w in flights])
         columns = [_dragged(c, h / hovers_W.mean()) for c, h in zip(plain, hovers_W, strict=True)]
-        design = np.concatenate(columns)
+        relative = [1.0 + c @ shares for c in columns]
         pairs = zip(rows_by_flight, hovers_W, strict=True)
         excess = np.concatenate([rows.power_W / hover_W - 1.0 for rows, hover_W in pairs])
+        design, excess = (
+            _beside_hovers(np.split(values, ends), relative, np.split(weight, ends))
+            for values in (np.concatenate(columns), excess)
+        )
         shares, precision = _solved(design, excess, weight)
         noise = max(float(np.sqrt(np.average((excess - design @ shares) ** 2, weights=counts))), LEAST_NOISE)
     residuals = [
@@ -142,6 +146,16 @@ def _hover_W(rows: PowerRows, columns: Array, weight: Array, shares: Array) -> f
     """Return the hover power [W] with which a flight fits the shares best."""
     relative = 1.0 + columns @ shares
     return float(weight @ (rows.power_W * relative) / (weight @ relative**2))
+
+
+def _beside_hovers(values: list[Array], relative: list[Array], weight: list[Array]) -> Array:
+    """Return values of the blocks of all flights without their part that another hover power of the flight explains.
+
+    So shares and hover powers are solved for together. In turns they would need hundreds of them: a flight of fast
+    blocks alone fits a flat law with a low hover power nearly as well.
+    """
+    flights = zip(values, relative, weight, strict=True)
+    return np.concatenate([v - np.multiply.outer(r, (w * r) @ v / (w @ r**2)).reshape(v.shape) for v, r, w in flights])
 
 
 def _solved(design: Array, excess: Array, weight: Array) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery.battery_file import GENERIC
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
@@ -30,6 +31,9 @@ NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
 USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
 TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.020, 0.010])
 AGED_TOGETHER = (-0.5, -0.9)  # correlation of ln ohm and ln Ah, and of their trends: both worsen together
+# The generic file does not know the make: ohms above its own are no evidence of age, the printed capacity is no
+# measurement, and its curve hides how far a used pack has faded until a flight comes near the knee.
+UNKNOWN_MAKE_NEW_SD, UNKNOWN_MAKE_USED_SD = np.array([0.4, 0.08]), np.array([0.4, 0.25])
 FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # change in one flight
 MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # change in one month of storage
 DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
@@ -54,6 +58,8 @@ def _first(flight: FlightRecord, mean: Array, sd: Array) -> PackBelief:
     covariance = np.diag(every_sd**2)
     for k, correlation in zip((0, 2), AGED_TOGETHER, strict=True):
         covariance[k, k + 1] = covariance[k + 1, k] = correlation * every_sd[k] * every_sd[k + 1]
+    if flight.battery == GENERIC:
+        covariance[:2, :2] += np.diag((UNKNOWN_MAKE_NEW_SD if mean is NEW_MEAN else UNKNOWN_MAKE_USED_SD) ** 2)
     return PackBelief(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
 
 

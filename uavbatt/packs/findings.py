@@ -40,7 +40,7 @@ def of_battery_file(battery: str) -> tuple[PackFinding, ...]:
     """Return the finding that a pack's flights are read with the generic file; nothing for a file of a make."""
     if battery != GENERIC:
         return ()
-    words = f"read with {GENERIC}: charge perhaps a fifth too low; fit a file of its make before you retire it"
+    words = f"read with {GENERIC}: its capacity may be a third off; fit a file of its make before you retire it"
     return (PackFinding("generic_file", words),)
 
 

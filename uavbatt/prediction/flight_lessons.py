@@ -185,7 +185,7 @@ class FlightLessons(NamedTuple):
         if not self.beyond_s > 0.0:
             return 0.0
         beyond, excess = self.beyond_sum_s / self.beyond_s, self.excess_sum_s / self.beyond_s
-        noise = powers.row_sd**2 * min(2.0 * POWER_MEMORY_S / self.beyond_s, 1.0) + WIND_SD**2
+        noise = powers.row_sd**2 * _mean_of_rows(self.beyond_s) + WIND_SD**2
         return EXCESS_SD**2 * beyond * excess / (EXCESS_SD**2 * beyond**2 + noise)
 
     def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
@@ -219,6 +219,14 @@ class FlightLessons(NamedTuple):
         if not self.level_s > (0.0 if powers.flights else LEAST_FLOWN_S):
             return (1.0, powers.level_sd) if powers.flights else (NAN, NAN)
         prior = powers.level_sd**2 if powers.flights else math.inf
-        noise = powers.row_sd**2 * min(2.0 * POWER_MEMORY_S / self.level_s, 1.0) + MODEL_SD**2
+        noise = powers.row_sd**2 * _mean_of_rows(self.level_s) + MODEL_SD**2
         share = 1.0 / (1.0 + noise / prior)
         return 1.0 + share * (self.level_sum_s / self.level_s - 1.0), math.sqrt(share * noise)
+
+
+def _mean_of_rows(told_s: float) -> float:
+    """Return the variance of a mean of rows over that of one row; the weights exp(-age / LEVEL_TAU_S) sum to `told_s`.
+
+    The squares of these weights sum to told_s - told_s² / (2 LEVEL_TAU_S), and rows of POWER_MEMORY_S are alike.
+    """
+    return min(2.0 * POWER_MEMORY_S * (1.0 / told_s - 0.5 / LEVEL_TAU_S), 1.0)

@@ -19,7 +19,8 @@ from uavbatt.prediction.swings import Swings
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight changes from slow to fast, to which `fast_sd` applies
 SIDES_RAD = (np.arange(8) + 0.5) * np.pi / 8.0  # half of a turn; the other half is its mirror image
-GUSTS = 0.2  # sd of the airspeed over the wind speed, as over open land
+GUSTS = 0.15  # sd of the airspeed over the wind speed, 40 m above open land: 1 / ln(40 m / 0.05 m) in EN 1991-1-4
+WIND_SD_MS = 0.5  # of a component of the autopilot's wind, for a whole flight: against the true power of eight flights
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,17 @@ class RouteLoad:
 def factors(load: RouteLoad) -> Array:
     """Return the factors on level, fast flight and time, [3, SCENARIOS], around 1."""
     sds = np.array([load.level_sd / load.level, load.powers.fast_sd, load.ahead.timing_sd])
-    return np.asarray(np.exp(sds[:, None] * sampling.whitened(SCENARIOS, 3, SCENARIOS)))
+    return np.asarray(np.exp(sds[:, None] * _normals()[:3]))
+
+
+def wind_errors_ms() -> Array:
+    """Return by how much more the wind blows against the way than it is said to [m/s], [SCENARIOS]."""
+    return np.asarray(WIND_SD_MS * _normals()[3])
+
+
+def _normals() -> Array:
+    """Return the standard normals of level, fast flight, time and wind, [4, SCENARIOS]."""
+    return sampling.whitened(SCENARIOS, 4, SCENARIOS)
 
 
 def piece_terms(pieces: Pieces, induced_ms: float) -> Array:
@@ -100,11 +111,16 @@ def piece_terms(pieces: Pieces, induced_ms: float) -> Array:
     return terms(pieces.airspeed_ms, pieces.climb_ms, pieces.taking_off, pieces.landing, induced_ms)
 
 
-def roughness(load: RouteLoad, wind_ms: float) -> Array:
+def roughness(load: RouteLoad, slopes: Array, wind_ms: float) -> Array:
     """Return the relative sd of the power within each piece: of the rows, and of gusts where airspeed changes it."""
+    return np.hypot(load.powers.row_sd, slopes * GUSTS * wind_ms)
+
+
+def airspeed_slopes(load: RouteLoad) -> Array:
+    """Return by how much more power, relatively, each piece asks when it is flown 1 m/s faster through the air."""
     pieces = load.ahead.pieces
     faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + 1.0)))
-    return np.hypot(load.powers.row_sd, (faster.flown_W / load.flown_W - 1.0) * GUSTS * wind_ms)
+    return np.asarray(faster.flown_W / load.flown_W - 1.0)
 
 
 def fast_shares(load: RouteLoad) -> Array:

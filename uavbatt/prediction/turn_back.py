@@ -21,7 +21,7 @@ from uavbatt.prediction.draws import Draws, Source, source_of
 from uavbatt.prediction.long_steps import STEP_S, above_cutoff_V, step_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import legs_table
-from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
+from uavbatt.prediction.route_load import RouteLoad, airspeed_slopes, factors, fast_shares, roughness, wind_errors_ms
 from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_CELL_V
@@ -64,18 +64,22 @@ class TurnBack(NamedTuple):
 
 
 class Homewards(NamedTuple):
-    """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight."""
+    """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight.
+
+    slopes : relative change of the power with the airspeed [per m/s]
+    """
 
     length_s: Array  # [steps, turns]
     power_W: Array
     fast_shares: Array
+    slopes: Array
     rough: Array  # relative sd of the power within the step
 
     def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
         """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
-        levels, fast, _ = scenarios
-        power_W, fast_share = self.power_W[k, turns][:, None], self.fast_shares[k, turns][:, None]
-        return np.asarray(power_W * levels * fast**fast_share)
+        levels, fast, _, wind_ms = scenarios
+        power_W, fast_share, slope = (c[k, turns][:, None] for c in (self.power_W, self.fast_shares, self.slopes))
+        return np.asarray(power_W * levels * fast**fast_share * np.exp(slope * wind_ms))
 
 
 def turn_instants(longest_s: float) -> Array:
@@ -86,14 +90,14 @@ def turn_instants(longest_s: float) -> Array:
 def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
     home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.settings)
-    scenarios = factors(asked.load)[:, asked.scenario]
+    scenarios = np.vstack([factors(asked.load), wind_errors_ms()])[:, asked.scenario]
     return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.least_soc)
 
 
 def _fly_home(at_turn: Draws, turn_at_s: Array, home: Homewards, scenarios: Array, least_soc: Array) -> TurnBack:
     """Return what comes of the ways home that begin with the draws `at_turn` [turns, draws].
 
-    scenarios : factors of level, fast flight and time of each draw [3, draws]
+    scenarios : factors of level, fast flight and time, and the error of the wind [m/s], of each draw [4, draws]
     """
     stretch = scenarios[2]
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
@@ -147,13 +151,15 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, 
         pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
-    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), roughness(there, math.hypot(*way.wind))])
+    slopes = airspeed_slopes(there)
+    rough = roughness(there, slopes, math.hypot(*way.wind))
+    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, rough])
     counts = np.bincount(turn_of, minlength=turn_at_s.size)
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
-    length_s, power_W, fast, rough = told[:, index]  # a way that is over repeats its last step with a length of 0
-    return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough)
+    length_s, *others = told[:, index]  # a way that is over repeats its last step with a length of 0
+    return Homewards(np.where(is_flown, length_s, 0.0), *others)
 
 
 def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:

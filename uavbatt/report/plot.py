@@ -174,9 +174,9 @@ def _columns(names: Sequence[str], most: int, room: float) -> int:
     return 1
 
 
-def height_under(names: Sequence[str], legend_columns: int = 3) -> float:
+def height_under(names: Sequence[str]) -> float:
     """Return the height of a panel whose legend has these names: more than two rows of them make it taller."""
-    rows = -(-len(names) // _columns(names, legend_columns, WIDTH - LEFT))
+    rows = -(-len(names) // _columns(names, 3, WIDTH - LEFT))
     return HEIGHT + max(rows - 2, 0) * LEGEND_ROW
 
 

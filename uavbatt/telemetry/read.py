@@ -85,12 +85,12 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
     )
 
 
-def read_columns(path: str | Path, instance: int | None = None) -> Columns:
-    """Read the rows of one battery as numpy columns instead of objects. Otherwise as `read_log`."""
+def read_columns(path: str | Path) -> Columns:
+    """Read the rows of the battery that carries the flight as numpy columns instead of objects."""
     from uavbatt.telemetry.columns import rows_of
 
     _, log = _kind_and_rows(*content_of(Path(path)), has_route=False)
-    chosen = _chosen(str(path), log, instance)
+    chosen = _chosen(str(path), log, None)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 

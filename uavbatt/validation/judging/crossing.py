@@ -15,6 +15,7 @@ import numpy as np
 from uavbatt.validation.iso5725.cells import Array
 
 Which = Literal["first", "last", "held"]
+HOLD_S = 60.0  # a voltage that stays below a level for so long has fallen for good
 
 
 def _crossings(time_s: Array, voltage_V: Array, level_V: float, downward: bool) -> Array:
@@ -30,12 +31,10 @@ def downward_crossings(time_s: Array, voltage_V: Array, level_V: float) -> Array
     return _crossings(time_s[measured], voltage_V[measured], level_V, True)
 
 
-def crossing_time(
-    time_s: Array, voltage_V: Array, level_V: float, which: Which = "first", hold_s: float = 60.0
-) -> float:
+def crossing_time(time_s: Array, voltage_V: Array, level_V: float, which: Which = "first") -> float:
     """Return the time [s] of the first or last fall through `level_V` [V], NaN if there is none.
 
-    "held" is the first fall after which the voltage stays below for `hold_s` [s] (or to the end of the record).
+    "held" is the first fall after which the voltage stays below for `HOLD_S` (or to the end of the record).
     """
     down = downward_crossings(time_s, voltage_V, level_V)
     if not len(down):
@@ -44,5 +43,5 @@ def crossing_time(
         measured = ~np.isnan(voltage_V)
         up = _crossings(time_s[measured], voltage_V[measured], level_V, False)
         next_up = [float(up[up > t].min(initial=math.inf)) for t in down]
-        return float(next(t for t, u in zip(down, next_up, strict=True) if u - t >= hold_s or t == down[-1]))
+        return float(next(t for t, u in zip(down, next_up, strict=True) if u - t >= HOLD_S or t == down[-1]))
     return float(down[0 if which == "first" else -1])
