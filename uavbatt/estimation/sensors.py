@@ -19,7 +19,7 @@ MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
 LOADED_C_RATE = 0.4
 # A current that falls below FALLEN_SHARE of its recent mean must let the voltage rise. A voltage that is read a moment
 # later than the current, or smoothed by the autopilot, follows within half a second or at the next row.
-FALLEN_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, RECENT_TAU_S = 0.4, 0.35, 0.02, 10.0
+FALLEN_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, RECENT_TAU_S = 0.4, 0.25, 0.02, 10.0
 DOUBTED_S, DEAD_S = 0.5, 3.0
 
 
