@@ -73,8 +73,8 @@ def said_after(rows: list[Sample], begin_s: float) -> list[tuple[Estimate, Remai
     return [said for said in generic_estimator(stated, period_s=1.0).run(rows) if said[0].time_s > begin_s]
 
 
-def doubted(said: list[tuple[Estimate, Remaining]]) -> list[float]:
-    return [e.time_s for e, _ in said if any(kind_of(warning) is Kind.DEAD_CURRENT for warning in e.warnings)]
+def doubted(said: list[tuple[Estimate, Remaining]], kind: Kind = Kind.DEAD_CURRENT) -> list[float]:
+    return [e.time_s for e, _ in said if any(kind_of(warning) is kind for warning in e.warnings)]
 
 
 @pytest.mark.parametrize("rate_Hz", [1.0, 4.0])
@@ -109,3 +109,34 @@ def test_a_load_that_falls_is_not_a_failed_sensor(share: float, smoothed_s: floa
         level_V = volts + keep * (level_V - volts) if keep else volts
         rows.append(replace(sample, voltage_V=level_V, current_A=amps, consumed_Ah=math.nan))
     assert not doubted(said_after(rows, begin_s))
+
+
+@pytest.mark.parametrize(("rate_Hz", "read_V"), [(1.0, 11.2), (4.0, 11.2), (1.0, 12.0)])
+def test_a_voltage_that_falls_alone_is_doubted_before_the_time_is_nothing(rate_Hz: float, read_V: float) -> None:
+    """A wire that reads 2.8 V a cell, or a cell that failed: the crew heard "0:00 min left" and no reason for it."""
+    sound = flight(rate_Hz, seed=7)
+    begin_s = sound[-1].time_s - 300.0
+    rows = [
+        replace(s, voltage_V=read_V + 0.05 * math.sin(s.time_s)) if s.time_s > begin_s else s
+        for s in sound
+        if s.time_s < begin_s + 60.0
+    ]
+    said = said_after(rows, begin_s)
+    doubted_s = set(doubted(said, Kind.FELL_ALONE))
+    assert min(doubted_s) <= begin_s + 3.0
+    assert not [e.time_s for e, r in said if r.remaining_lo_s < 10.0 and e.time_s not in doubted_s]
+    assert Status.OK not in {e.status for e, _ in said if e.time_s in doubted_s}
+
+
+@pytest.mark.parametrize("ohms", [1.0, 3.0])
+def test_a_full_throttle_is_no_fall_of_the_voltage_alone(ohms: float) -> None:
+    """A worn pack in a climb at twice the load, whose current comes a second late; and the empty pack's knee."""
+    sound = flight(1.0, seed=8)
+    begin_s, before_A, rows = sound[-1].time_s - 150.0, 0.0, []
+    for sample in sound:
+        climbs = begin_s < sample.time_s and (sample.time_s - begin_s) % 40.0 < 15.0
+        amps = sample.current_A * (2.0 if climbs else 1.0)
+        volts = sample.voltage_V - 0.02 * (ohms * amps - sample.current_A)
+        rows.append(replace(sample, voltage_V=volts, current_A=before_A, consumed_Ah=math.nan))
+        before_A = amps
+    assert not doubted(said_after(rows, 0.0), Kind.FELL_ALONE)

@@ -21,6 +21,9 @@ LOADED_C_RATE = 0.4
 # later than the current, or smoothed by the autopilot, follows within half a second or at the next row.
 FALLEN_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, RECENT_TAU_S = 0.4, 0.25, 0.02, 10.0
 DOUBTED_S, DEAD_S = 0.5, 3.0
+# A cell that falls by ALONE_CELL_V within seconds, while the current does not rise by ALONE_C_RATE, is no discharge: a
+# cold, worn cell needs a larger rise, too. A current that is reported late rises before ALONE_S are over, or a row later.
+ALONE_CELL_V, ALONE_C_RATE, ALONE_S, FELL_TAU_S, RETURNED_SHARE = 0.4, 1.0, 1.0, 3.0, 0.5
 
 
 class LastChange(NamedTuple):
@@ -123,4 +126,35 @@ class LoadWatch(NamedTuple):
         since_s = self.gone_since_s if math.isfinite(self.gone_since_s) else time_s
         return self._replace(
             fell_s=fell_s, expected_rise_V=expected_rise_V, gone_since_s=since_s if is_gone else math.nan
+        )
+
+
+class FallWatch(NamedTuple):
+    """FallWatch notices a voltage that falls at once under a load that stays: the wire of the voltmeter, or a cell.
+
+    voltage_V and current_A are means over the last seconds of sound rows.
+    """
+
+    time_s: float = math.nan
+    voltage_V: float = math.nan
+    current_A: float = math.nan
+    fallen_since_s: float = math.nan  # NaN while the voltage fits the load
+
+    def after(
+        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
+    ) -> FallWatch:
+        """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        least_V, fell_V = ALONE_CELL_V * cells, self.voltage_V - voltage_V
+        has_fallen, is_loaded = math.isfinite(self.fallen_since_s), current_A > LOADED_C_RATE * capacity_Ah
+        is_settled = time_s - self.fallen_since_s > FELL_TAU_S
+        is_alone = is_loaded and (is_settled or current_A - self.current_A < ALONE_C_RATE * capacity_Ah)
+        if has_fallen and is_alone and fell_V > RETURNED_SHARE * least_V:
+            return self
+        if is_alone and min(fell_V, predicted_V - voltage_V) > least_V and not has_fallen:
+            return self._replace(fallen_since_s=time_s)
+        if has_fallen or not math.isfinite(fell_V):
+            return FallWatch(time_s, voltage_V, current_A)
+        keep = math.exp(-max(time_s - self.time_s, 0.0) / FELL_TAU_S)
+        return FallWatch(
+            time_s, voltage_V + keep * (self.voltage_V - voltage_V), current_A + keep * (self.current_A - current_A)
         )

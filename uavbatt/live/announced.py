@@ -66,6 +66,7 @@ WARNINGS: dict[Kind, str] = {
     Kind.STUCK_VOLTAGE: "voltage is stuck",
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current fell, voltage did not rise",
+    Kind.FELL_ALONE: "voltage fell alone: a wire or a cell?",
 }
 
 CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON, Kind.MAY_END_SOON)
@@ -101,6 +102,7 @@ REASONS: dict[Kind, str] = {
     Kind.STUCK_VOLTAGE: "voltage is stuck",
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current does not fit",
+    Kind.FELL_ALONE: "voltage does not fit",
     Kind.FAR_OFF: "voltage does not fit",
     Kind.UNFITTING: "voltage does not fit",
     Kind.NO_END: "charge and load differ",
