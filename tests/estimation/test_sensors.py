@@ -62,15 +62,6 @@ def test_rows_sent_more_often_than_the_sensor_is_read_are_not_stuck() -> None:
     assert after(repeated, row_s=0.1).stuck_current_s(CAPACITY_AH) == 0.0
 
 
-@pytest.mark.parametrize(("tremble_V", "fall_V", "is_stuck"), [(0.003, 0.0, True), (0.003, 0.0007, False)])
-def test_a_voltage_that_only_trembles_is_stuck(tremble_V: float, fall_V: float, is_stuck: bool) -> None:
-    """The last digits of the converter of a dead input moved; a smoothed voltage of an hour's flight falls by more."""
-    readings = SensorChanges().after(-2.0, 14.81, 18.0, CELLS).after(-1.0, 14.8, 18.0, CELLS)
-    for k in range(90):
-        readings = readings.after(float(k), 14.8 + tremble_V * (k % 2) - fall_V * k, 18.0 + 0.1 * (k % 3), CELLS)
-    assert (readings.stuck_voltage_s(CELLS, CAPACITY_AH) > STUCK_S) is is_stuck
-
-
 def flight(rate_Hz: float, seed: int) -> list[Sample]:
     """A flight of a 4S pack of 5 Ah at 320 W until its cut-off."""
     flown = SimulatedFlight(power_W=320.0, start_soc=0.5, rate_Hz=rate_Hz, seed=seed)

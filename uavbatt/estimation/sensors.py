@@ -9,7 +9,6 @@ STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
 # The voltage of a cell falls by at least LEAST_FALL_V per unit of charge. A voltage is stuck if it has not moved
 # although it must have fallen by three of its own smallest steps and by 10 mV.
 LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
-JITTER_V = 0.005  # a reading that trembles by less, in the last digits of its converter, has not moved
 COARSEST_STEP_V = 0.1  # assumed for a voltmeter that has not shown its smallest step yet
 # If the voltage of a cell has gone down and up by this much several times, the current must have changed.
 TURN_CELL_V, TURNS = 0.012, 6
@@ -40,11 +39,11 @@ class LastChange(NamedTuple):
     rows: int = 0
     habit: float = 0.0
 
-    def after(self, time_s: float, value: float, jitter: float = 0.0) -> LastChange:
-        """Return the same with one more reading; one within `jitter` of the last change is none."""
-        change = abs(value - self.value)
-        if change <= jitter:
+    def after(self, time_s: float, value: float) -> LastChange:
+        """Return the same with one more reading."""
+        if value == self.value:
             return self._replace(rows=self.rows + 1)
+        change = abs(value - self.value)
         step = min(self.step, change) if math.isfinite(change) else self.step
         habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
         return LastChange(value, time_s, step, 0, habit)
@@ -68,7 +67,7 @@ class SensorChanges(NamedTuple):
     def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> SensorChanges:
         """Return the same with one more row."""
         dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
-        voltage, current = self.voltage.after(time_s, voltage_V, JITTER_V), self.current.after(time_s, current_A)
+        voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
         drawn_Ah = self.drawn_Ah + max(current_A, 0.0) * dt_s / 3600.0 if voltage.rows else 0.0
         turn_V, is_rising, turns = self.turn_V, self.is_rising, self.turns if current.rows else 0
         step_V = voltage_V - turn_V if math.isfinite(turn_V) else 0.0
