@@ -33,6 +33,7 @@ class Kind(Enum):
     STUCK_VOLTAGE = auto()
     STUCK_CURRENT = auto()
     DEAD_CURRENT = auto()
+    FELL_ALONE = auto()
     UNFITTING = auto()
     FAR_OFF = auto()
     SMALL_PACK = auto()

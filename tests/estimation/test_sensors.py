@@ -1,11 +1,19 @@
-"""Sensors that stand still: told from a load that is steady by the sensor's own habit of moving."""
+"""Sensors that fail silently: a reading that stands still, and a current that falls while the load does not."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from factories import generic_estimator, generic_pack
 
-from uavbatt.estimation.sensors import STUCK_S, SensorChanges
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimation.sensors import DEAD_S, STUCK_S, SensorChanges
+from uavbatt.notice import Kind, kind_of
+from uavbatt.records import Estimate, Remaining, Sample, Status
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 CELLS, CAPACITY_AH = 4.0, 5.0
 
@@ -52,3 +60,83 @@ def test_rows_sent_more_often_than_the_sensor_is_read_are_not_stuck() -> None:
     """Ten rows a second of a sensor that is read once a second."""
     repeated = [amps for amps in gusty(60) for _ in range(10)]
     assert after(repeated, row_s=0.1).stuck_current_s(CAPACITY_AH) == 0.0
+
+
+def flight(rate_Hz: float, seed: int) -> list[Sample]:
+    """A flight of a 4S pack of 5 Ah at 320 W until its cut-off."""
+    flown = SimulatedFlight(power_W=320.0, start_soc=0.5, rate_Hz=rate_Hz, seed=seed)
+    return simulate_flight(generic_pack(4, 5.0, 13.2, math.nan), flown)
+
+
+def said_after(rows: list[Sample], begin_s: float) -> list[tuple[Estimate, Remaining]]:
+    stated = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
+    return [said for said in generic_estimator(stated, period_s=1.0).run(rows) if said[0].time_s > begin_s]
+
+
+def doubted(said: list[tuple[Estimate, Remaining]], kind: Kind = Kind.DEAD_CURRENT) -> list[float]:
+    return [e.time_s for e, _ in said if any(kind_of(warning) is kind for warning in e.warnings)]
+
+
+@pytest.mark.parametrize("rate_Hz", [1.0, 4.0])
+@pytest.mark.parametrize("gain", [0.0, 0.1, 0.33])
+def test_a_current_that_falls_alone_never_lengthens_the_time(gain: float, rate_Hz: float) -> None:
+    """It fell to a tenth with 106 s left: for some seconds the crew saw eight minutes too many."""
+    sound = flight(rate_Hz, seed=5)
+    end_s = sound[-1].time_s
+    begin_s, drawn_Ah, rows = end_s - 106.0, 0.0, []
+    for sample in sound:
+        amps = sample.current_A * (gain if sample.time_s > begin_s else 1.0)
+        drawn_Ah += amps / rate_Hz / 3600.0
+        rows.append(replace(sample, current_A=amps, consumed_Ah=drawn_Ah))
+    said = said_after(rows, begin_s)
+    assert doubted(said)[0] <= begin_s + 4.0  # a leap of the current is held back for the first two seconds
+    known = [(r.remaining_lo_s, end_s - e.time_s) for e, r in said if math.isfinite(r.remaining_s)]
+    assert all(lo_s <= left_s for lo_s, left_s in known)
+    later = [e.status for e, _ in said if begin_s + 3.5 + DEAD_S <= e.time_s < begin_s + 10.0]
+    assert set(later) == {Status.REFUSED}
+
+
+@pytest.mark.parametrize("smoothed_s", [0.0, 1.0])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.33])
+def test_a_load_that_falls_is_not_a_failed_sensor(share: float, smoothed_s: float) -> None:
+    """A landing, an idle or a glide: the voltage rises, in some autopilots only over a second."""
+    hovers = flight(1.0, seed=6)[:150]
+    ohm, begin_s, level_V, rows = 0.03, hovers[100].time_s, math.nan, []
+    for sample in hovers:
+        amps = sample.current_A * (share if sample.time_s > begin_s else 1.0)
+        volts = sample.voltage_V + ohm * (sample.current_A - amps)
+        keep = math.exp(-1.0 / smoothed_s) if smoothed_s and math.isfinite(level_V) else 0.0
+        level_V = volts + keep * (level_V - volts) if keep else volts
+        rows.append(replace(sample, voltage_V=level_V, current_A=amps, consumed_Ah=math.nan))
+    assert not doubted(said_after(rows, begin_s))
+
+
+@pytest.mark.parametrize(("rate_Hz", "read_V"), [(1.0, 11.2), (4.0, 11.2), (1.0, 12.0)])
+def test_a_voltage_that_falls_alone_is_doubted_before_the_time_is_nothing(rate_Hz: float, read_V: float) -> None:
+    """A wire that reads 2.8 V a cell, or a cell that failed: the crew heard "0:00 min left" and no reason for it."""
+    sound = flight(rate_Hz, seed=7)
+    begin_s = sound[-1].time_s - 300.0
+    rows = [
+        replace(s, voltage_V=read_V + 0.05 * math.sin(s.time_s)) if s.time_s > begin_s else s
+        for s in sound
+        if s.time_s < begin_s + 60.0
+    ]
+    said = said_after(rows, begin_s)
+    doubted_s = set(doubted(said, Kind.FELL_ALONE))
+    assert min(doubted_s) <= begin_s + 3.0
+    assert not [e.time_s for e, r in said if r.remaining_lo_s < 10.0 and e.time_s not in doubted_s]
+    assert Status.OK not in {e.status for e, _ in said if e.time_s in doubted_s}
+
+
+@pytest.mark.parametrize("ohms", [1.0, 3.0])
+def test_a_full_throttle_is_no_fall_of_the_voltage_alone(ohms: float) -> None:
+    """A worn pack in a climb at twice the load, whose current comes a second late; and the empty pack's knee."""
+    sound = flight(1.0, seed=8)
+    begin_s, before_A, rows = sound[-1].time_s - 150.0, 0.0, []
+    for sample in sound:
+        climbs = begin_s < sample.time_s and (sample.time_s - begin_s) % 40.0 < 15.0
+        amps = sample.current_A * (2.0 if climbs else 1.0)
+        volts = sample.voltage_V - 0.02 * (ohms * amps - sample.current_A)
+        rows.append(replace(sample, voltage_V=volts, current_A=before_A, consumed_Ah=math.nan))
+        before_A = amps
+    assert not doubted(said_after(rows, 0.0), Kind.FELL_ALONE)

@@ -18,7 +18,16 @@ import numpy as np
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation.sensors import DEAD_S, REFUSED_STUCK_S, STUCK_S, LoadWatch, SensorChanges
+from uavbatt.estimation.sensors import (
+    ALONE_S,
+    DEAD_S,
+    DOUBTED_S,
+    REFUSED_STUCK_S,
+    STUCK_S,
+    FallWatch,
+    LoadWatch,
+    SensorChanges,
+)
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
@@ -36,9 +45,8 @@ STUCK_VOLTAGE = Notice("the voltage has not moved under load for half a minute: 
 STUCK_CURRENT = Notice(
     "the current has not moved for half a minute, as it does in flight: a stuck sensor?", Kind.STUCK_CURRENT
 )
-DEAD_CURRENT = Notice(
-    "the current fell to nothing while the voltage did not recover: a dead current sensor?", Kind.DEAD_CURRENT
-)
+DEAD_CURRENT = Notice("the current fell and the voltage did not rise: a failed current sensor?", Kind.DEAD_CURRENT)
+FELL_ALONE = Notice("the voltage fell at once and the load did not rise: a wire, or a cell?", Kind.FELL_ALONE)
 UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
 FAR_OFF = Notice(
     "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
@@ -103,6 +111,7 @@ class Monitor(NamedTuple):
 
     readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
+    fall: FallWatch = FallWatch()
     innovations: Innovations = Innovations()
     pack: PackVerdict = PackVerdict()
     doubts: tuple[str, ...] = ()
@@ -116,6 +125,7 @@ class Monitor(NamedTuple):
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        fall = self.fall.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         innovations, verdict = self.innovations, self.pack
         if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
             innovations = innovations.after(time_s, estimate.nis)
@@ -125,6 +135,8 @@ class Monitor(NamedTuple):
         doubted = {
             STUCK_VOLTAGE: voltage_s >= STUCK_S,
             STUCK_CURRENT: current_s >= STUCK_S,
+            DEAD_CURRENT: time_s - load.gone_since_s >= DOUBTED_S,
+            FELL_ALONE: time_s - fall.fallen_since_s >= ALONE_S,
             UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
         }
         refused = {
@@ -134,7 +146,7 @@ class Monitor(NamedTuple):
         }
         doubts = (*compress(doubted, doubted.values()), *verdict.doubts)
         refusal = next(compress(refused, refused.values()), verdict.refusal)
-        return Monitor(readings, load, innovations, verdict, doubts, refusal)
+        return Monitor(readings, load, fall, innovations, verdict, doubts, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

@@ -1,4 +1,4 @@
-"""Sensors that fail silently: a reading that stands still although it must move, a current that falls to nothing."""
+"""Sensors that fail silently: a reading that stands still although it must move, a current that falls alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,13 @@ TURN_CELL_V, TURNS = 0.012, 6
 # 1 C, a constant current is normal.
 MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
 LOADED_C_RATE = 0.4
-DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
+# A current that falls below FALLEN_SHARE of its recent mean must let the voltage rise. A voltage that is read a moment
+# later than the current, or smoothed by the autopilot, follows within half a second or at the next row.
+FALLEN_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, RECENT_TAU_S = 0.4, 0.25, 0.02, 10.0
+DOUBTED_S, DEAD_S = 0.5, 3.0
+# A cell that falls by ALONE_CELL_V within seconds, while the current does not rise by ALONE_C_RATE, is no discharge: a
+# cold, worn cell needs a larger rise, too. A current that is reported late rises within FELL_TAU_S.
+ALONE_CELL_V, ALONE_C_RATE, ALONE_S, FELL_TAU_S, RETURNED_SHARE = 0.4, 1.0, 1.0, 3.0, 0.5
 
 
 class LastChange(NamedTuple):
@@ -85,7 +91,7 @@ class SensorChanges(NamedTuple):
 
 
 class LoadWatch(NamedTuple):
-    """LoadWatch notices a current that falls to nothing while the voltage stays low.
+    """LoadWatch notices a current that falls far while the voltage stays low.
 
     voltage_V and current_A are means over the last seconds of sound rows.
     """
@@ -93,7 +99,8 @@ class LoadWatch(NamedTuple):
     time_s: float = math.nan
     voltage_V: float = math.nan
     current_A: float = math.nan
-    expected_rise_V: float = math.nan  # the rise of the voltage that the model expects without the load
+    fell_s: float = math.nan  # time at which the current fell [s]
+    expected_rise_V: float = -math.inf  # the rise of the voltage that the model expects of the smaller load, so far
     gone_since_s: float = math.nan  # NaN while the sensor is sound
 
     def after(
@@ -102,18 +109,52 @@ class LoadWatch(NamedTuple):
         """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
         if not math.isfinite(self.current_A):
             return LoadWatch(time_s, voltage_V, current_A)
-        if self.current_A < LOADED_C_RATE * capacity_Ah or current_A > DEAD_SHARE * self.current_A:
+        if self.current_A < LOADED_C_RATE * capacity_Ah or current_A > FALLEN_SHARE * self.current_A:
             keep = math.exp(-max(time_s - self.time_s, 0.0) / RECENT_TAU_S)
             return LoadWatch(
                 time_s,
                 voltage_V + keep * (self.voltage_V - voltage_V),
                 current_A + keep * (self.current_A - current_A),
             )
-        is_new = not math.isfinite(self.gone_since_s)
-        expected_rise_V = predicted_V - self.voltage_V if is_new else self.expected_rise_V
-        if (
-            not expected_rise_V > LEAST_RISE_CELL_V * cells
-            or voltage_V - self.voltage_V > RECOVERED_SHARE * expected_rise_V
-        ):
+        # The model sees a block of rows at once, so that its rise is whole only after a second or two.
+        fell_s = self.fell_s if math.isfinite(self.fell_s) else time_s
+        expected_rise_V = max(self.expected_rise_V, predicted_V - self.voltage_V)
+        has_risen = voltage_V - self.voltage_V > RECOVERED_SHARE * expected_rise_V
+        is_gone = expected_rise_V > LEAST_RISE_CELL_V * cells and not has_risen
+        if not is_gone and time_s - fell_s >= DEAD_S:
             return LoadWatch(time_s, voltage_V, current_A)
-        return self._replace(expected_rise_V=expected_rise_V, gone_since_s=time_s if is_new else self.gone_since_s)
+        since_s = self.gone_since_s if math.isfinite(self.gone_since_s) else time_s
+        return self._replace(
+            fell_s=fell_s, expected_rise_V=expected_rise_V, gone_since_s=since_s if is_gone else math.nan
+        )
+
+
+class FallWatch(NamedTuple):
+    """FallWatch notices a voltage that falls at once under a load that stays: the wire of the voltmeter, or a cell.
+
+    voltage_V and current_A are means over the last seconds of sound rows.
+    """
+
+    time_s: float = math.nan
+    voltage_V: float = math.nan
+    current_A: float = math.nan
+    fallen_since_s: float = math.nan  # NaN while the voltage fits the load
+
+    def after(
+        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
+    ) -> FallWatch:
+        """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        least_V, fell_V = ALONE_CELL_V * cells, self.voltage_V - voltage_V
+        has_fallen, is_loaded = math.isfinite(self.fallen_since_s), current_A > LOADED_C_RATE * capacity_Ah
+        is_settled = time_s - self.fallen_since_s > FELL_TAU_S
+        is_alone = is_loaded and (is_settled or current_A - self.current_A < ALONE_C_RATE * capacity_Ah)
+        if has_fallen and is_alone and fell_V > RETURNED_SHARE * least_V:
+            return self
+        if is_alone and min(fell_V, predicted_V - voltage_V) > least_V and not has_fallen:
+            return self._replace(fallen_since_s=time_s)
+        if has_fallen or not math.isfinite(fell_V):
+            return FallWatch(time_s, voltage_V, current_A)
+        keep = math.exp(-max(time_s - self.time_s, 0.0) / FELL_TAU_S)
+        return FallWatch(
+            time_s, voltage_V + keep * (self.voltage_V - voltage_V), current_A + keep * (self.current_A - current_A)
+        )

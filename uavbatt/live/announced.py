@@ -65,7 +65,8 @@ WARNINGS: dict[Kind, str] = {
     Kind.UNFITTING: "voltage and current do not fit",
     Kind.STUCK_VOLTAGE: "voltage is stuck",
     Kind.STUCK_CURRENT: "current is stuck",
-    Kind.DEAD_CURRENT: "current fell to nothing: sensor?",
+    Kind.DEAD_CURRENT: "current fell, voltage did not rise",
+    Kind.FELL_ALONE: "voltage fell alone: a wire or a cell?",
 }
 
 CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON, Kind.MAY_END_SOON)
@@ -100,7 +101,8 @@ REASONS: dict[Kind, str] = {
     Kind.MANY_OHMS: "capacity is wrong",
     Kind.STUCK_VOLTAGE: "voltage is stuck",
     Kind.STUCK_CURRENT: "current is stuck",
-    Kind.DEAD_CURRENT: "current fell to nothing",
+    Kind.DEAD_CURRENT: "current does not fit",
+    Kind.FELL_ALONE: "voltage does not fit",
     Kind.FAR_OFF: "voltage does not fit",
     Kind.UNFITTING: "voltage does not fit",
     Kind.NO_END: "charge and load differ",
