@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from factories import generic_pack
+from scoring import other_pack
 from scoring.other_pack import Make, Power, flight
 from scoring.other_pack import Pack as OtherPack
 
@@ -132,19 +133,44 @@ def test_what_is_not_told_stands_in_the_file() -> None:
     assert all("±" in line for line in lines) and any(line.startswith("activation_K") for line in lines)
 
 
-def test_a_pack_of_another_chemistry_is_doubted_and_no_lipo_is() -> None:
-    """A lithium-ion pack's voltages were met by a diffusion eight times as large as any LiPo's, without a word."""
-    volts = (2.0, 2.6, 2.78, 2.98, 3.13, 3.26, 3.36, 3.43, 3.53, 3.61, 3.69, 3.78, 3.89, 3.985, 4.06, 4.10, 4.18)
-    lithium_ion = Make("lithium-ion", volts, 0.06, 0.7, 0.025, 40.0, 0.7, 90.0)
-    flown = [
-        flight(OtherPack(8.4, size_Ah=8.4, make=lithium_ion, cells=6), Power(watts, climb=0.3), cutoff_V=18.0)
+NMC_V = (2.0, 2.6, 2.78, 2.98, 3.13, 3.26, 3.36, 3.43, 3.53, 3.61, 3.69, 3.78, 3.89, 3.985, 4.06, 4.10, 4.18)
+LFP_V = (2.0, 2.3, 2.6, 2.85, 3.0, 3.1, 3.17, 3.2, 3.24, 3.26, 3.27, 3.28, 3.29, 3.31, 3.32, 3.33, 3.5)
+
+
+@cache
+def of_make(volts: tuple[float, ...], ground_s: int = 15) -> FittedBattery:
+    """The file from three flights of a pack of 6 cells with this curve; 0 s on the ground: it begins in the air."""
+    make = Make("another", volts, 0.06, 0.7, 0.025, 40.0, 0.7, 90.0)
+    made = [
+        flight(OtherPack(8.4, size_Ah=8.4, make=make, cells=6), Power(watts, climb=0.3), cutoff_V=18.0)
         for watts in (150.0, 280.0, 330.0)
     ]
-    logs = [made.flight(f"{number}") for number, made in enumerate(flown)]
-    doubted = fit_battery(RecordedPack("mine", 6, 8.4, 18.0), [], logs)
+    logs = [m.flight(f"{number}") for number, m in enumerate(made)]
+    airborne = [Flight(f.source, f.kind, tuple(s for s in f.samples if s.armed)) for f in logs]
+    return fit_battery(RecordedPack("mine", 6, 8.4, 18.0), [], logs if ground_s else airborne)
+
+
+@pytest.mark.parametrize("ground_s", [15, 0], ids=["from rest", "from the air"])
+def test_flights_of_lithium_ion_cells_tell_their_curve(ground_s: int) -> None:
+    """It was up to 0.6 V too high with the prior of a LiPo cell, and ohms twice as large explained the voltage."""
+    made = of_make(NMC_V, ground_s)
+    assert made.file.battery.chemistry == "Li-ion" and not made.doubtful
+    error_V = np.array(made.file.parameters.ocv_V) - np.interp(prior.OCV_SOC, other_pack.SOC, NMC_V)
+    assert np.abs(error_V[prior.OCV_SOC >= 0.05]).max() < 0.05
+    se_V = np.array([made.file.parameters.standard_error[f"ocv_{z:g}"] for z in prior.OCV_SOC])
+    assert np.abs(error_V / se_V).max() < 3.0
+
+
+def test_cells_of_neither_kind_are_doubted_and_no_others_are() -> None:
+    doubted = of_make(LFP_V)
     assert "diffusion_ratio" in doubted.doubtful[0] and "another chemistry" in doubted.doubtful[0]
     assert doubted.doubtful[0] in doubted.file.battery.remarks
     assert not fitted("whole").doubtful
+
+
+def test_lipo_cells_are_not_taken_for_lithium_ion() -> None:
+    for kind in ("whole", "half used", "in mid-air", "no thermometer"):
+        assert fitted(kind).file.battery.chemistry == "LiPo"
 
 
 def test_the_file_says_over_how_many_flights_the_scatter_was_measured() -> None:

@@ -19,6 +19,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
+from uavbatt.fitting.prior import Chemistry
 from uavbatt.fitting.solve import CellFit, OwnPrior
 from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
 from uavbatt.records import Flight, PackFacts
@@ -31,7 +32,7 @@ LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data add
 # (by the usual activation, 1500 K), and the charge below which the voltage falls off.
 COLD_C, WARM_C, DEEP_SOC = 5.0, 35.0, 0.1
 TEMPERATURE_ENDS = (1.0, 99.0)  # per cent of the readings: a single spike is no temperature that was flown
-FAR_SDS = 2.5  # sds of the prior: LiPo packs stay within 2.2, a lithium-ion pack is at 2.9
+FAR_SDS = 2.5  # sds of the prior: LiPo and lithium-ion packs stay within 2.2
 ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s")  # heat flows in many ways
 
 
@@ -98,7 +99,7 @@ def _file(
     return BatteryFile(
         battery=Battery(
             name=size.name,
-            chemistry=datasets[0].chemistry if datasets else "LiPo",
+            chemistry=datasets[0].chemistry if datasets else fit.chemistry.name,
             cells_series=size.cells,
             capacity_Ah=size.capacity_Ah,
             cutoff_V=size.cutoff_V,
@@ -134,13 +135,26 @@ def _discrepancy(records: FittedRecords, fit: CellFit, cells: int) -> Discrepanc
 
 
 def _solve(records: FittedRecords) -> CellFit:
+    """Fit the cell as a LiPo cell or, if the flights make it more probable, as a lithium-ion cell.
+
+    Flights show no voltage without load: with the prior of a LiPo cell the OCV of lithium-ion cells became up to 0.6 V
+    too high, with ohms to match, and flights at another load were predicted wrong. A bench test tells OCV from ohms.
+    """
+    kinds = (prior.LIPO,) if records.bench else (prior.LIPO, prior.LITHIUM_ION)
+    return max((_solve_for(records, kind) for kind in kinds), key=lambda found: found.log_evidence)
+
+
+def _solve_for(records: FittedRecords, chemistry: Chemistry) -> CellFit:
     """Fit the cell to packs that are alike or, if the flights make these more probable, to packs in service.
 
     A worn pack among packs that are said to be alike bends the curve of the type: of ten flights with packs that hold
     88 to 101 % the soc was then wrong by 2.1 of its standard deviations. Where packs are alike, more freedom costs.
     """
     effects, own_prior = _freedom(records.bench, records.flights)
-    fit = partial(solve.fit_cell, records.stack, effects, evaluations=EVALUATIONS, has_bench=records.bench > 0)
+    has_bench = records.bench > 0
+    fit = partial(
+        solve.fit_cell, records.stack, effects, evaluations=EVALUATIONS, has_bench=has_bench, chemistry=chemistry
+    )
     alike = fit(own_prior=own_prior)
     if not records.has_spread:
         return alike
@@ -238,11 +252,11 @@ def _measured_C(stack: Stack) -> tuple[float, float] | None:
 
 
 def _doubtful(fit: CellFit) -> tuple[str, ...]:
-    """Return in words which fitted values no LiPo cell has: they stand for another cause."""
+    """Return in words which fitted values no cell of its kind has: they stand for another cause."""
     names = [slot.name for slot, u in zip(fit.slots, fit.u, strict=True) if abs(u) > FAR_SDS]
     far = [name for name in names if name.startswith(ELECTRIC)]
     why = "another chemistry, or other cells, capacity or currents than stated? Do not trust it beyond these records"
-    return (f"{', '.join(far)} lie far from those of LiPo cells: {why}",) if far else ()
+    return (f"{', '.join(far)} lie far from those of {fit.chemistry.name} cells: {why}",) if far else ()
 
 
 def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
@@ -253,7 +267,7 @@ def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
     ]
     lines = []
     if told_nothing:
-        lines.append(f"your data say little about {', '.join(told_nothing)} (typical LiPo values used)")
+        lines.append(f"your data say little about {', '.join(told_nothing)} (typical {fit.chemistry.name} values used)")
     span = _measured_C(stack)
     if span is None:
         lines.append("no temperature was measured: resistance in the cold and in the heat is the prior's")

@@ -1,4 +1,4 @@
-"""Prior of a LiPo cell before any data: it keeps a fit physical.
+"""Prior of a LiPo cell or, of flights, a lithium-ion cell before any data: it keeps a fit physical.
 
 The fit's unknowns are `Slot`s. In the optimiser's space every slot is a standard normal number u; its value is
 prior + sd·u, or prior·exp(sd·u) for a positive quantity, within the bounds of a battery file. So the penalty of the
@@ -27,6 +27,11 @@ OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 # OCV flat there, and the time too long for packs that were emptied deeper or more slowly than on those flights.
 KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
 
+# Rested voltage of a cylindrical lithium-ion cell (NMC or NCA): rounded averages of measured cells (Chen et al., J.
+# Electrochem. Soc. 167, 2020, 080534; Kim et al., ibid. 158, 2011, A955) and of typical cells.
+LITHIUM_ION_V = np.array([2.6, 2.93, 3.13, 3.3, 3.39, 3.45, 3.55, 3.63, 3.7, 3.79, 3.89, 3.99, 4.08, 4.12, 4.18])
+LITHIUM_ION_SD_V = np.array([0.25, 0.18, 0.1, 0.08, 0.07, 0.07, 0.06, *[0.05] * 4, *[0.04] * 4])
+
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
 DISORDER_SD_V = 0.003  # an OCV may fall short of the flattest slope by the resolution of a cell's meter
 
@@ -37,6 +42,8 @@ RESISTANCE_OHMAH = 0.028
 RESISTANCE_SD = 0.8  # in ln: a factor of 2.2, beyond the 1.6 between packs
 FARTHEST_LN = 8.0  # a factor of 3000: farther out only a diverging step goes
 RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
+
+LITHIUM_ION_OHMAH = 0.06  # 20 mohm for a cell of 3 Ah: the large ones have less, the small ones more
 
 BASE_EFFECTS = ("polarisation", "slow_diffusion", "temperature_resistance", "self_heating", "temperature_lag")
 
@@ -53,19 +60,36 @@ class Slot:
     high: float = np.inf
 
 
-def ocv_knots(fullest_V: float) -> Array:
+@dataclass(frozen=True, slots=True, eq=False)
+class Chemistry:
+    """A Chemistry is what is known of the cells of a kind before any data: the OCV at OCV_SOC [V], its sd, and R0."""
+
+    name: str
+    ocv_V: Array
+    ocv_sd_V: Array
+    ohmAh: float
+
+
+LIPO = Chemistry("LiPo", OCV_V, OCV_SD_V, RESISTANCE_OHMAH)
+LITHIUM_ION = Chemistry("Li-ion", LITHIUM_ION_V, LITHIUM_ION_SD_V, LITHIUM_ION_OHMAH)
+
+
+def ocv_knots(fullest_V: float, chemistry: Chemistry = LIPO) -> Array:
     """Return the OCV [V] at OCV_SOC of cells that have rested at `fullest_V` [V] and no higher."""
-    return ocv_of_fuller(OCV_SOC, OCV_V, fullest_V)
+    return ocv_of_fuller(OCV_SOC, chemistry.ocv_V, fullest_V)
 
 
-def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.nan) -> tuple[Slot, ...]:
+def cell_slots(
+    effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.nan, chemistry: Chemistry = LIPO
+) -> tuple[Slot, ...]:
     """Return the slots of OCV and R0 at their knots, the level of R0, and the quantities of the effects that are on.
 
     fullest_V : the highest voltage at which a cell of the type has rested [V], NaN where none was seen.
     """
-    ocv = [Slot(f"ocv_{z:g}", float(v), sd) for z, v, sd in zip(OCV_SOC, ocv_knots(fullest_V), OCV_SD_V, strict=True)]
+    known = zip(OCV_SOC, ocv_knots(fullest_V, chemistry), chemistry.ocv_sd_V, strict=True)
+    ocv = [Slot(f"ocv_{z:g}", float(v), float(sd)) for z, v, sd in known]
     shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
-    level = Slot("r0_ohmAh", RESISTANCE_OHMAH, RESISTANCE_SD, log=True)
+    level = Slot("r0_ohmAh", chemistry.ohmAh, RESISTANCE_SD, log=True)
     quantities = [
         Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # within the bounds of a battery file
         for name in effects
@@ -106,11 +130,11 @@ def monotonicity_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
     return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
 
 
-def knee_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
+def knee_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO) -> Array:
     """Return the residuals [..., 3] of the OCV's falls at the knee, against those of the prior."""
     ocv_V, _ = knots(slots, x)
     last = KNEE_SD_V.size + 1
-    falls_V = np.diff(ocv_V[..., :last], axis=-1) - np.diff(OCV_V[:last])
+    falls_V = np.diff(ocv_V[..., :last], axis=-1) - np.diff(chemistry.ocv_V[:last])
     return np.asarray(falls_V / KNEE_SD_V)
 
 

@@ -19,7 +19,7 @@ from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.battery.tables import dense
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
-from uavbatt.fitting.prior import Posterior, Slot
+from uavbatt.fitting.prior import Chemistry, Posterior, Slot
 
 TEMPERATURE_SD_K = 0.6  # of a pack's thermometer and its place on the pack
 ROBUST_SCALE = 4.0  # sds beyond which a residual counts as an outlier
@@ -60,6 +60,7 @@ class CellFit(Posterior):
     two priors of the same records (Laplace's approximation: MacKay, Neural Computation 4, 1992, 415-447).
     """
 
+    chemistry: Chemistry
     own: Array  # [records, 3]
     cost: float
     log_evidence: float
@@ -71,10 +72,10 @@ def fullest_V(stack: Stack) -> float:
     return float(np.max(first_V)) if first_V.size else float("nan")
 
 
-def start_guess(stack: Stack) -> Array:
+def start_guess(stack: Stack, chemistry: Chemistry = prior.LIPO) -> Array:
     """Return the starting charges [records] by the prior OCV at the first voltage (under load: plus a typical drop)."""
-    table = dense(prior.OCV_SOC, prior.ocv_knots(fullest_V(stack)))
-    drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_DROP * prior.RESISTANCE_OHMAH)
+    table = dense(prior.OCV_SOC, prior.ocv_knots(fullest_V(stack), chemistry))
+    drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * START_DROP * chemistry.ohmAh)
     guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
     return np.clip(guess, LEAST_START, 1.0)
 
@@ -113,6 +114,7 @@ class _Unknowns:
     own_mean: Array  # [records, 3]
     own_sd: Array
     has_bench: bool
+    chemistry: Chemistry
 
     @property
     def shared(self) -> int:
@@ -129,7 +131,7 @@ class _Unknowns:
         trajectory = run(self.stack, self.slots, self.effects, x, own)
         shape = prior.monotonicity_penalty(self.slots, x)
         if not self.has_bench:
-            shape = np.concatenate([shape, prior.knee_penalty(self.slots, x)], axis=-1)
+            shape = np.concatenate([shape, prior.knee_penalty(self.slots, x, self.chemistry)], axis=-1)
         return residuals(self.stack, trajectory, v.shape[0]), shape
 
     def objective(self, v: Array) -> Array:
@@ -154,13 +156,13 @@ class _Unknowns:
         return np.vstack([block.reshape(-1, v.size), shape_slopes, np.eye(v.size)])
 
 
-def _own_prior(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> tuple[Array, Array]:
+def _own_prior(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior], chemistry: Chemistry) -> tuple[Array, Array]:
     """Return the prior means and sds, both [records, 3], of each record's own unknowns."""
     priors = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
     pairs = zip(priors, stack.rested, strict=True)
     sd = [(p.rested_soc if at_rest else p.loaded_soc, p.log_resistance, p.log_capacity) for p, at_rest in pairs]
     mean_log_capacity = [p.mean_log_capacity for p in priors]
-    mean = np.column_stack([start_guess(stack), np.zeros(len(priors)), mean_log_capacity])
+    mean = np.column_stack([start_guess(stack, chemistry), np.zeros(len(priors)), mean_log_capacity])
     return mean, np.array(sd)
 
 
@@ -171,15 +173,16 @@ def fit_cell(
     start_u: Array | None = None,
     evaluations: int = 40,
     has_bench: bool = True,
+    chemistry: Chemistry = prior.LIPO,
 ) -> CellFit:
     """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots];
-    evaluations : of the residuals, at most; has_bench : False if all are flights.
+    evaluations : of the residuals, at most; has_bench : False if all are flights; chemistry : of the cells.
     """
-    slots = prior.cell_slots(effects, fullest_V(stack))
-    own_mean, own_sd = _own_prior(stack, own_prior)
-    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, has_bench)
+    slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
+    own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
+    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, has_bench, chemistry)
     start = np.zeros(unknowns.shared + own_mean.size)
     if start_u is not None:
         start[: unknowns.shared] = start_u
@@ -199,6 +202,7 @@ def fit_cell(
     return CellFit(
         slots=slots,
         effects=effects,
+        chemistry=chemistry,
         u=solution.x[shared],
         covariance_u=np.linalg.inv(curvature)[shared, shared],
         own=unknowns.values(solution.x[None])[1][0],
