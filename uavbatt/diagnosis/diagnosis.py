@@ -19,7 +19,7 @@ from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis import drift, residual
+from uavbatt.diagnosis import drift, residual, slow_sensor
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
@@ -261,6 +261,8 @@ def _doubts_of(finding: FoundEffect) -> Iterator[str]:
     constancy = finding.worth.constancy
     if finding.drift is not None:
         yield drift.words(finding.drift)
+    elif finding.slow is not None:
+        yield slow_sensor.words(finding.slow)
     elif constancy is not None and not finding.steady:
         yield f"{finding.name} is not the same in all records (they differ by {constancy.spread:.0%} of it)"
     if all(m.candidate.name in m.candidate.resized for m in finding.members):

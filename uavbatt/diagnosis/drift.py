@@ -10,14 +10,11 @@ or a lead that changed with temperature would look like the temperature dependen
 
 from __future__ import annotations
 
-import numpy as np
-
 from uavbatt.battery.effects import EFFECTS, unit_words
 from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Course, FreeQuantity
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.simulation import MAY_DRIFT
-from uavbatt.diagnosis.worth import left_out_chi2
 
 TURNS = 8  # iterations: the start is the fit without drift, so that few are needed
 VARIES_WITH_TEMPERATURE = "voltage_gain"  # the only effect that is tried with a drift along the temperature
@@ -37,11 +34,6 @@ def drifting(problem: Problem, fit: Refit, along: Course = "time") -> Refit | No
     drift = FreeQuantity(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, along=along)
     both = fit.candidate.plus(Candidate((f"{fit.candidate.name} that drifts",), (drift,), (1,)))
     return refit(problem, [both], start=[fit], iterations=TURNS)[0]
-
-
-def saved(drift: Refit, steady: Refit) -> float:
-    """Return the chi-square that a drift saves on left-out records."""
-    return float(np.sum(left_out_chi2(steady)) - np.sum(left_out_chi2(drift)))
 
 
 def words(drift: Refit) -> str:

@@ -66,6 +66,7 @@ class Whitener:
 class Evidence:
     """Evidence holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is late current.
 
+    `followed_A` is the like for filtered readings (`late_current.followed`).
     `quick_A` [rows, records] is the part of the current to which the polarisation has not responded yet.
 
     `start_soc` and `start_sd` are the charge that each record is believed to start with and its sd.
@@ -75,6 +76,7 @@ class Evidence:
     volts: tuple[Whitener, ...]
     temps: tuple[Whitener | None, ...]
     shifted_A: Array
+    followed_A: Array
     quick_A: Array
     known_ambient: Array
     start_soc: Array
@@ -184,6 +186,7 @@ def prepare(
         ),
         temps=tuple(_temperature_whitener(stack, j, spread, noise_K(r)) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
+        followed_A=late_current.followed(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,

@@ -1,6 +1,7 @@
-"""The current of a record read some seconds later: what a delay between the two readings does.
+"""The current of a record read some seconds later: what a delay between the two readings does; and, as its rival, the
+current that goes with a voltage or a current behind a filter.
 
-It is worked out once at SHIFTS_S. Between these it is interpolated by cubic convolution (Keys, IEEE Trans. ASSP 29,
+Both are worked out once at SHIFTS_S. Between these it is interpolated by cubic convolution (Keys, IEEE Trans. ASSP 29,
 1981), which is smooth in the delay: linear interpolation has a corner at zero delay, and a refit would stop there.
 """
 
@@ -8,14 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.signal import lfilter
 
 from uavbatt.battery.model import Array
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord, Stack
 
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)  # the bounds of `current_delay`, in steps of half a row of 1 s
-LEAST_BIN_S = 0.5  # less of a bin than that, at an end of the record, has no mean
+LEAST_OF_BIN = 0.1  # less of a bin than that, at an end of the record, has no mean
 NEARLY = 1e-3  # of a step: keeps four neighbours around the last shift
+FILTER_STEP_S = 0.5  # of the grid on which a current is filtered: the shortest filter takes one step
 
 
 def shifted(records: list[ObservedRecord], stack: Stack) -> Array:
@@ -23,18 +26,53 @@ def shifted(records: list[ObservedRecord], stack: Stack) -> Array:
     out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
     for j, record in enumerate(records):
         at_s = stack.time_s[:, j] + SHIFTS_S[:, None]
-        in_bins = observed.is_fine(record)
-        out[:, :, j] = _bin_means(record, at_s) if in_bins else np.interp(at_s, record.time_s, record.current_A)
+        out[:, :, j] = _as_recorded(record, record.time_s, record.current_A, at_s)
     return out
 
 
-def _bin_means(record: ObservedRecord, at_s: Array) -> Array:
-    """Return the mean current [A] in the bins around `at_s` [s]; beyond the record that of its first or last bin."""
-    charge_As = np.asarray(cumulative_trapezoid(record.current_A, record.time_s, initial=0), dtype=float)
-    ends_s = np.clip([at_s - observed.BIN_S / 2, at_s + observed.BIN_S / 2], *record.time_s[[0, -1]])
-    (width_s,), (drawn_As,) = np.diff(ends_s, axis=0), np.diff(np.interp(ends_s, record.time_s, charge_As), axis=0)
-    held_A = np.where(at_s < record.time_s[0], record.current_A[0], observed.binned(record).current_A[-1])
-    means_A: Array = np.where(width_s > LEAST_BIN_S, drawn_As / np.maximum(width_s, LEAST_BIN_S), held_A)
+def followed(records: list[ObservedRecord], stack: Stack) -> Array:
+    """Return the current [A] that goes with filtered readings, [shifts, rows, records], averaged as in the record.
+
+    At a shift of -tau seconds it is the current behind a first-order filter of tau, which fits a voltage read behind
+    one; at +tau it is the current before such a filter, i + tau di/dt, for a current read behind one.
+    """
+    out = np.empty((len(SHIFTS_S), *stack.current_A.shape))
+    for j, record in enumerate(records):
+        even_s = np.arange(record.time_s[0], record.time_s[-1] + FILTER_STEP_S, FILTER_STEP_S)
+        even_A = _means(record.time_s, record.current_A, even_s, FILTER_STEP_S)
+        for k, shift_s in enumerate(SHIFTS_S):
+            out[k, :, j] = _as_recorded(record, even_s, _filtered_A(even_A, shift_s), stack.time_s[:, j])
+    return out
+
+
+def _filtered_A(current_A: Array, shift_s: float) -> Array:
+    """Return a current [A], every FILTER_STEP_S, behind a filter (shift below 0) or before one (above 0)."""
+    if shift_s >= 0:
+        before_A: Array = current_A + shift_s * np.gradient(current_A, FILTER_STEP_S)
+        return before_A
+    kept = np.exp(FILTER_STEP_S / shift_s)
+    behind_A: Array = lfilter([1 - kept], [1, -kept], current_A, zi=[kept * current_A[0]])[0]
+    return behind_A
+
+
+def _as_recorded(record: ObservedRecord, time_s: Array, current_A: Array, at_s: Array) -> Array:
+    """Return a current [A], known at `time_s`, at `at_s` [s]: averaged over bins if `record` comes in such."""
+    if observed.is_fine(record):
+        return _means(time_s, current_A, at_s, observed.BIN_S)
+    return np.interp(at_s, time_s, current_A)
+
+
+def _means(time_s: Array, current_A: Array, at_s: Array, width_s: float) -> Array:
+    """Return the mean current [A] in bins of `width_s` around `at_s` [s].
+
+    Before the record it is that of the first row, after it that of the last bin.
+    """
+    charge_As = np.asarray(cumulative_trapezoid(current_A, time_s, initial=0), dtype=float)
+    at_s = np.minimum(at_s, time_s[-1] - width_s / 2)
+    ends_s = np.clip([at_s - width_s / 2, at_s + width_s / 2], *time_s[[0, -1]])
+    (lasts_s,), (drawn_As,) = np.diff(ends_s, axis=0), np.diff(np.interp(ends_s, time_s, charge_As), axis=0)
+    least_s = LEAST_OF_BIN * width_s
+    means_A: Array = np.where(lasts_s > least_s, drawn_As / np.maximum(lasts_s, least_s), current_A[0])
     return means_A
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.drift import VARIES_WITH_TEMPERATURE, drifting, saved
+from uavbatt.diagnosis.drift import VARIES_WITH_TEMPERATURE, drifting
 from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, asked_of_each, best_pair
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
+from uavbatt.diagnosis.slow_sensor import following
 from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
-from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, worth
+from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, saved, worth
 
 EVEN = 6.0  # an effect worth no more is a suspect: it may well be chance
 SUSPECT = 0.4  # highest probability of a suspect, and under a doubted model
@@ -34,6 +35,7 @@ class FoundEffect:
     outside: tuple[str, ...]  # the other rivals, in order
     probability: float  # that the cause is a member, if it is a candidate and not chance
     drift: Refit | None = None  # the refit in which the effect drifts within each record, if that explains much more
+    slow: Refit | None = None  # the refit in which a delay is a filter instead, if that explains much more
 
     @property
     def name(self) -> str:
@@ -42,8 +44,8 @@ class FoundEffect:
 
     @property
     def steady(self) -> bool:
-        """Return True if the records agree on the value and the value does not drift within a record."""
-        return is_steady(self.worth.constancy) and self.drift is None
+        """Return True if the records agree on the value, it does not drift within a record, and a delay is one."""
+        return is_steady(self.worth.constancy) and self.drift is None and self.slow is None
 
 
 def search(
@@ -58,6 +60,18 @@ def search(
     The found effects come in order of evidence. explains : returns True if a model leaves no more than the file's own;
     then no pair is built on a suspect.
     """
+    best, found, singles = _found(problem, options, unchanged, explains, tell)
+    return best, [replace(one, slow=_slow(problem, one)) for one in found], singles
+
+
+def _found(
+    problem: Problem,
+    options: list[Candidate],
+    unchanged: Refit,
+    explains: Callable[[Refit], bool],
+    tell: Callable[[str], None],
+) -> tuple[Refit, list[FoundEffect], Trial]:
+    """Return what `search` returns, with every delay taken for one."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, unchanged, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
@@ -127,6 +141,12 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
             saves.append((min(saved(drift, steady) for steady in (_settled(problem, gain), steadiest)), drift))
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
+
+
+def _slow(problem: Problem, found: FoundEffect) -> Refit | None:
+    """Return the refit of a delay as a filter, if it saves as much as a second effect would have to."""
+    filtered = following(problem, found.members[0])
+    return filtered if filtered and saved(filtered, _settled(problem, found.members[0])) > EARNED_TOGETHER else None
 
 
 def _voltage_gains(problem: Problem, singles: Trial) -> list[Refit]:

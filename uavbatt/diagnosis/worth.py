@@ -120,6 +120,11 @@ def left_out_chi2(fit: Refit) -> Array:
     return loss
 
 
+def saved(fit: Refit, before: Refit) -> float:
+    """Return the chi-square that a refit saves on left-out records over another one."""
+    return float(np.sum(left_out_chi2(before)) - np.sum(left_out_chi2(fit)))
+
+
 def left_out_values(problem: Problem, fit: Refit) -> list[Array]:
     """Return, for each record, the values of the quantities from the other records."""
     u = fit.u + shifts_u(fit)
