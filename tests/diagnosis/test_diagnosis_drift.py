@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, MISSIONS, fly
 
+from uavbatt.battery.model import Array
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of, problem_of
@@ -45,6 +47,23 @@ def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[
     assert any("current_gain is not the same throughout a record: it changes by +0.3" in r for r in diagnosis.reasons)
     assert all(c.probability <= 0.4 for c in diagnosis.classes)
     assert not diagnosis.after.candidate.names  # nothing of it enters the battery file
+
+
+@pytest.mark.parametrize(
+    ("name", "reading"),
+    [
+        ("voltage_offset", lambda r: r.voltage_V + 0.2 * r.time_s / r.time_s[-1]),
+        ("voltage_gain", lambda r: r.voltage_V * (1.0 + 0.02 * r.time_s / r.time_s[-1])),
+    ],
+)
+def test_a_drift_is_told_although_a_steady_value_of_another_effect_fits_better(
+    flights: list[ObservedRecord], name: str, reading: Callable[[ObservedRecord], Array]
+) -> None:
+    """Of these two a pair was named, or a gain of the current, while only the best single effect could drift."""
+    diagnosis = found([replace(r, voltage_V=reading(r)) for r in flights])
+    assert diagnosis.verdict == "undeclared_effect"
+    assert any(f"{name} is not the same throughout a record" in r for r in diagnosis.reasons)
+    assert all(c.probability <= 0.4 for c in diagnosis.classes)
 
 
 def test_a_voltage_whose_gain_goes_with_the_temperature_is_no_declared_effect() -> None:

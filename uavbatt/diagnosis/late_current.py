@@ -65,14 +65,14 @@ def _as_recorded(record: ObservedRecord, time_s: Array, current_A: Array, at_s: 
 def _means(time_s: Array, current_A: Array, at_s: Array, width_s: float) -> Array:
     """Return the mean current [A] in bins of `width_s` around `at_s` [s].
 
-    Before the record it is that of the first row, after it that of the last bin.
+    Before the record it is that of the first row, after it that of the last `width_s`.
     """
     charge_As = np.asarray(cumulative_trapezoid(current_A, time_s, initial=0), dtype=float)
-    at_s = np.minimum(at_s, time_s[-1] - width_s / 2)
     ends_s = np.clip([at_s - width_s / 2, at_s + width_s / 2], *time_s[[0, -1]])
     (lasts_s,), (drawn_As,) = np.diff(ends_s, axis=0), np.diff(np.interp(ends_s, time_s, charge_As), axis=0)
+    held_A = np.where(at_s < time_s[0], current_A[0], np.mean(current_A[time_s > time_s[-1] - width_s]))
     least_s = LEAST_OF_BIN * width_s
-    means_A: Array = np.where(lasts_s > least_s, drawn_As / np.maximum(lasts_s, least_s), current_A[0])
+    means_A: Array = np.where(lasts_s > least_s, drawn_As / np.maximum(lasts_s, least_s), held_A)
     return means_A
 
 

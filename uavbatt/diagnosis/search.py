@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uavbatt.diagnosis.candidates import Candidate
+from uavbatt.diagnosis.candidates import Candidate, Course
 from uavbatt.diagnosis.drift import VARIES_WITH_TEMPERATURE, drifting
 from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, asked_of_each, best_pair
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
+from uavbatt.diagnosis.rivals import FARTHEST, members_of_class
 from uavbatt.diagnosis.slow_sensor import following
 from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
 from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, saved, worth
@@ -128,17 +128,17 @@ def small(problem: Problem, singles: Trial) -> FoundEffect | None:
 def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
     """Return the best refit with a drift within each record, if it saves as much as a second effect would have to.
 
-    The best single effect, under any of its names, may drift with time. The voltage gain may drift with temperature:
-    this must save as much beside the member of the class that predicts best, too.
+    Every effect of a sensor or of the wiring may drift with time, whatever the best single effect is: a steady value
+    may fit it badly, so that another effect stands in its place. The voltage gain may drift with temperature, too. What
+    drifts must save as much beside the member of the class that predicts best.
     """
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
+    ways: list[tuple[Refit, Course]] = [(fit, "time") for fit in singles.fits]
+    ways += [(gain, "temperature") for gain in _voltage_gains(problem, singles)]
     saves = []
-    for fit in (fit for fit in members if same(fit, members[0])):
-        if (drift := drifting(problem, fit)) is not None:
-            saves.append((saved(drift, _settled(problem, fit)), drift))
-    for gain in _voltage_gains(problem, singles):
-        if (drift := drifting(problem, gain, "temperature")) is not None:
-            saves.append((min(saved(drift, steady) for steady in (_settled(problem, gain), steadiest)), drift))
+    for fit, along in ways:
+        if (drift := drifting(problem, fit, along)) is not None:
+            saves.append((min(saved(drift, steady) for steady in (_settled(problem, fit), steadiest)), drift))
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 
