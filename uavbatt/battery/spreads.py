@@ -13,6 +13,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array
+from uavbatt.battery.tables import COLLAPSE_V
 
 # The status of the file widens the belief: a file that was not gated may describe another battery. A generic file has
 # wide spreads by itself; the numbers of an edited file may come from anywhere.
@@ -26,7 +27,7 @@ SERVICE_RESISTANCE_SD = 0.15  # contacts and leads of a pack in service; what ag
 # A file that was fitted to so many flights, of packs whose resistances differ so much, was fitted to packs in service:
 # their scatter is measured, and only half of the reaction remains beside it.
 FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
-
+EMPTY_CELL_V = 3.3  # open-circuit voltage of an emptied LiPo cell; a slow discharge ends there
 
 # Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
 # the row before. On flights with a row every 12 s it was 14 mV, and 10 mohm times the change, for a pack of 90 mohm.
@@ -126,7 +127,7 @@ def spread_of(file: BatteryFile) -> Spread:
         lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
         rested_share=make.rested_share,
         evidence_share=make.evidence_share,
-        empty_soc_sd=make.empty_soc_sd,
+        empty_soc_sd=max(make.empty_soc_sd, _charge_left(file)),
     )
 
 
@@ -150,6 +151,17 @@ def _ocv_sd_V(file: BatteryFile) -> Array:
     table = file.parameters
     errors = [table.standard_error.get(f"ocv_{soc:g}", 0.0) for soc in table.ocv_soc]
     return np.asarray(np.interp(SOC_GRID, np.array(table.ocv_soc), np.array(errors)))
+
+
+def _charge_left(file: BatteryFile) -> float:
+    """Return the charge below the 0 of a file's curve, as a share of its capacity; 0 if its tests emptied the cells.
+
+    A test under a large load is over while a cell still has charge: the study's ends at an open-circuit voltage of
+    3.59 V. A flight that draws less goes on.
+    """
+    (soc, above_soc), (volts, above_V) = file.parameters.ocv_soc[:2], file.parameters.ocv_V[:2]
+    steepness_V = max((above_V - volts) / (above_soc - soc), COLLAPSE_V)
+    return max(volts - steepness_V * soc - EMPTY_CELL_V, 0.0) / steepness_V
 
 
 def _ocv_drift_sd_V(stated_V: Array, alone_share: float) -> Array:
