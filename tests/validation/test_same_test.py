@@ -43,6 +43,23 @@ def test_a_sound_set_has_no_such_run() -> None:
     assert found(dataset.load()) == []  # the study
 
 
+@pytest.mark.parametrize("number", [3, 4])
+def test_a_copy_among_short_coarse_tests_is_named(number: int) -> None:
+    """The study's form: nine voltages to 0.01 V and nine temperatures to 0.1 K; two runs share 9 of 18 at most."""
+    study = dataset.load()
+    run = next(r for r in study.runs if r.sample == "1" and r.run == number)
+    (finding,) = found(replace(study, runs=(*study.runs, replace(run, run=99))))
+    assert f"run 99 of sample 1 at 25 °C is run {number} of sample 1 at 25 °C" in finding.detail
+
+
+def test_short_tests_read_to_a_volt_are_equal_by_chance() -> None:
+    coarse = [
+        replace(r, voltage_V=np.round(r.voltage_V), surface_C=np.full_like(r.surface_C, np.nan))
+        for r in dataset.load().runs
+    ]
+    assert found(replace(dataset.load(), runs=tuple(coarse))) == []
+
+
 def test_a_copied_run_is_named_with_its_original() -> None:
     (finding,) = found(data_set(copied=True))
     assert (finding.kind, finding.severity) == ("copied_run", "serious")
