@@ -91,6 +91,8 @@ def _found(
         return best, effects, singles
     tell("pairs of effects")
     pair = best_pair(problem, options, singles, drift or best)
+    if pair is not None and drift is not None and saved(pair.fit, drift) <= EARNED_TOGETHER:
+        pair = None  # a drift says as much with one effect as the pair with two
     two = _two(problem, options, singles, pair) if pair is not None else []
     if not two:
         return best, effects, singles
