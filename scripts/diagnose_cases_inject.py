@@ -43,7 +43,7 @@ class Flown:
 
     def sag_V(self) -> Array:
         """Return the voltage [V] that the load takes from the pack, without the sensor's noise."""
-        return _lag(np.maximum(CELLS * self.open_V(self.true_soc) - self.voltage_V, 0.0), self.time_s, 2.0, 0.0)
+        return follow(np.maximum(CELLS * self.open_V(self.true_soc) - self.voltage_V, 0.0), self.time_s, 2.0, 0.0)
 
     def open_V(self, soc: Array) -> Array:
         """Return the OCV of one cell [V] at a state of charge, straight on below empty."""
@@ -84,7 +84,8 @@ def flights(log_folder: Path, answer_folder: Path, battery: BatteryFile) -> list
     return found
 
 
-def _lag(target: Array, time_s: Array, tau_s: float, start: float) -> Array:
+def follow(target: Array, time_s: Array, tau_s: float, start: float) -> Array:
+    """Return what follows a target with the time constant `tau_s` [s], from `start` on."""
     out, value = np.empty_like(target), start
     for k, step_s in enumerate(np.diff(time_s, prepend=time_s[0])):
         value += (target[k] - value) * (1.0 - np.exp(-step_s / tau_s))
@@ -124,7 +125,7 @@ def temperature_offset(size_K: float) -> Change:
 
 def temperature_lag(tau_s: float) -> Change:
     """Return a change: the temperature sensor follows late, with the time constant `tau_s` [s]."""
-    return lambda f: replace(f, temp_C=_lag(f.temp_C, f.time_s, tau_s, float(np.mean(f.temp_C[:5]))))
+    return lambda f: replace(f, temp_C=follow(f.temp_C, f.time_s, tau_s, float(np.mean(f.temp_C[:5]))))
 
 
 def current_delay(size_s: float) -> Change:
@@ -156,7 +157,7 @@ def resistance_growth(share: float) -> Change:
     def grown(f: Flown) -> Flown:
         sag_V = f.sag_V()
         heat_W = share * sag_V / CELLS * f.true_A
-        warmer = _lag(heat_W / COOLING_WPK, f.time_s, HEAT_JPK / COOLING_WPK, 0.0)
+        warmer = follow(heat_W / COOLING_WPK, f.time_s, HEAT_JPK / COOLING_WPK, 0.0)
         return replace(f, voltage_V=f.voltage_V - share * sag_V, temp_C=f.temp_C + warmer)
 
     return grown
@@ -211,7 +212,7 @@ def charge_transfer(factor: float) -> Change:
     def slower(f: Flown) -> Flown:
         share = f.true_A / CAPACITY_AH / 0.8
         change_V = 2.0 * 0.0514 * (np.arcsinh(share / factor) - np.arcsinh(share))
-        warmer = _lag(change_V * f.true_A / COOLING_WPK, f.time_s, HEAT_JPK / COOLING_WPK, 0.0)
+        warmer = follow(change_V * f.true_A / COOLING_WPK, f.time_s, HEAT_JPK / COOLING_WPK, 0.0)
         return replace(f, voltage_V=f.voltage_V - CELLS * change_V, temp_C=f.temp_C + warmer)
 
     return slower
@@ -219,7 +220,7 @@ def charge_transfer(factor: float) -> Change:
 
 def slow_voltage(ohm: float, tau_s: float = 150.0) -> Change:
     """Return a change: the voltage gives way over minutes beyond what the file says."""
-    return lambda f: replace(f, voltage_V=f.voltage_V - CELLS * _lag(ohm * f.true_A, f.time_s, tau_s, 0.0))
+    return lambda f: replace(f, voltage_V=f.voltage_V - CELLS * follow(ohm * f.true_A, f.time_s, tau_s, 0.0))
 
 
 def cooled(share: float) -> Change:
