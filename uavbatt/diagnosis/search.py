@@ -60,18 +60,6 @@ def search(
     The found effects come in order of evidence. explains : returns True if a model leaves no more than the file's own;
     then no pair is built on a suspect.
     """
-    best, found, singles = _found(problem, options, unchanged, explains, tell)
-    return best, [replace(one, slow=_slow(problem, one)) for one in found], singles
-
-
-def _found(
-    problem: Problem,
-    options: list[Candidate],
-    unchanged: Refit,
-    explains: Callable[[Refit], bool],
-    tell: Callable[[str], None],
-) -> tuple[Refit, list[FoundEffect], Trial]:
-    """Return what `search` returns, with every delay taken for one."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, unchanged, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
@@ -145,12 +133,6 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
     return best if most > EARNED_TOGETHER else None
 
 
-def _slow(problem: Problem, found: FoundEffect) -> Refit | None:
-    """Return the refit of a delay as a filter, if it saves as much as a second effect would have to."""
-    filtered = following(problem, found.members[0])
-    return filtered if filtered and saved(filtered, _settled(problem, found.members[0])) > EARNED_TOGETHER else None
-
-
 def _voltage_gains(problem: Problem, singles: Trial) -> list[Refit]:
     """Return the refit of the voltage gain if the records have a temperature, else nothing."""
     has_temperature = problem.evidence.has_temperature
@@ -193,7 +175,14 @@ def finding(problem: Problem, trial: Trial, earned: float) -> FoundEffect:
         worth=gain,
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
         probability=float(np.sum(likely[members])) * no_chance(problem, fits[members[0]], trial.before, gain, earned),
+        slow=_slow(problem, fits[members[0]]),
     )
+
+
+def _slow(problem: Problem, fit: Refit) -> Refit | None:
+    """Return the refit of a delay as a filter, if it saves as much as a second effect would have to."""
+    filtered = following(problem, fit)
+    return filtered if filtered and saved(filtered, _settled(problem, fit)) > EARNED_TOGETHER else None
 
 
 def no_chance(problem: Problem, fit: Refit, before: Refit, gain: Worth, earned: float) -> float:
