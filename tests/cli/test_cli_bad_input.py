@@ -56,6 +56,7 @@ BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "empty": ("f.tlog", b"", ("empty file",)),
     "png": ("f.tlog", b"\x89PNG\r\n\x1a\n" + random.Random(1).randbytes(5000), ("another kind",)),
     "png named BIN": ("f.BIN", b"\x89PNG\r\n\x1a\n" + random.Random(2).randbytes(5000), ("another kind",)),
+    "Unicode text of a spreadsheet": ("f.csv", "time_s,voltage_V\n0,16.8\n".encode("utf-16"), ("UTF-16", "UTF-8")),
     "letter": ("f.csv.txt", b"Dear all,\nthis is a letter.\n", ("another kind",)),
     "zeros": ("f.BIN", bytes(5000), ("another kind",)),
     "only the head of a tlog": ("f.tlog", TLOG.read_bytes()[:50], ("expected",)),

@@ -95,6 +95,17 @@ def test_a_current_that_is_lost_on_the_ground_changes_no_answer(armed: bool | No
     assert found.landing is not None and found.landing.remaining_s > 0.0 and found.refused_in_air == 0.0
 
 
+def test_a_charge_that_every_row_refuses_is_not_the_charge_at_the_end() -> None:
+    """A sensor of reversed sign: "100 % charge left (100 % to 100 %)" was said of a pack that was emptied."""
+    ground = [Sample(float(k), 16.7, -0.1, 25.0) for k in range(30)]
+    hover = [Sample(float(k), 16.2 - 0.0035 * k, -18.0, 25.0) for k in range(30, 900)]
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover)), estimator)), 13.2)
+    assert math.isnan(found.end_soc)
+    said = first_answer(found.landing, found.end_of_flight_s, 13.2)
+    assert said.startswith("The battery was at its end before you landed")
+
+
 @pytest.mark.parametrize(
     ("landing", "end_s", "words"),
     [

@@ -106,7 +106,8 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     air = in_air(run)
     end_s = first_below_s(time_s, volts, air, cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
-    is_known = bool(known) and not _is_forgotten(run, air)
+    complete = [s for s in known if math.isfinite(s.innovation_V)]  # others are refused for want of a reading alone
+    is_known = bool(complete) and complete[-1].status is not Status.REFUSED and not _is_forgotten(run, air)
     since_s = time_s[air.flying][0] + 60.0 if air.flying.any() else math.inf
     judged = [s for s, f in zip(run, air.flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)

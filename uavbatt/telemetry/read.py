@@ -32,6 +32,7 @@ _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
 _ULOG = b"ULog\x01\x12\x35"
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")  # byte order marks, as spreadsheets write them with "Unicode text"
 _BLACKBOX, _DJI_RECORD = b"H Product:Blackbox", "DJIFlightRecord"  # how the file begins, and its name
 _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
 _ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
@@ -166,6 +167,8 @@ def _kind(source: str, data: Content) -> str:
         return "dataflash-binary"
     if _FMT_LINE.search(head):
         return "dataflash-text"
+    if head.startswith(_UTF16):
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found text in UTF-16: save it as UTF-8")
     raise BadInput(source, "", f"{KNOWN_KINDS}, found a file of another kind")
 
 

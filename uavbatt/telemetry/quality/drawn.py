@@ -63,13 +63,15 @@ def given_J(rows: Columns) -> float:
 
 
 def loaded_A(current_A: NDArray[np.float64]) -> float:
-    """Return the current [A] above which a row is under load; infinite if no current is known.
+    """Return the current [A] above which a row is under load; infinite if it is not known.
+
+    That is so without a current, and if more flows into the pack than out of it: then its sign may be reversed.
 
     It is a third of the high current: the larger of the 90 % point of all rows, and the current above which half of the
     charge was drawn. The second counts if the flight is a small part of the log.
     """
     known_A = np.sort(current_A[np.isfinite(current_A)])
-    if not known_A.size:
+    if not known_A.size or np.sum(known_A) < 0.0:
         return math.inf
     drawn = np.cumsum(np.maximum(known_A, 0.0))
     half_A = known_A[np.searchsorted(drawn, 0.5 * drawn[-1])]
