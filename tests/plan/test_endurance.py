@@ -116,6 +116,14 @@ def test_outside_the_validated_range_is_said() -> None:
     assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
 
 
+def test_a_range_goes_from_the_coldest_to_the_warmest_validated_temperature() -> None:
+    battery = battery_file.read_battery("lpab-3s")
+    certificate = msgspec.structs.replace(battery.certificate, validated_ambient_C=[25.0, -5.0, 40.0])
+    wide = msgspec.structs.replace(battery, certificate=certificate)
+    assert planned(ambient_C=10.0, battery=wide).remark == ""
+    assert planned(ambient_C=50.0, battery=wide).remark == "outside the validated range: -5 °C to 40 °C"
+
+
 def test_a_load_that_never_ends_it_is_refused_with_its_reason() -> None:
     said = planned(0.5)
     assert math.isnan(said.median_s) and "six hours" in said.remark

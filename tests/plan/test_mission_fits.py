@@ -15,6 +15,7 @@ from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import rested
 from uavbatt.plan.mission import MissionPlan
+from uavbatt.plan.words import speed_words
 from uavbatt.prediction import sampling
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.long_steps import fly_draws
@@ -167,6 +168,11 @@ def test_a_plan_of_a_mission_without_a_landing_says_that_it_flies_home() -> None
     assert "the mission has no landing: flight home assumed" in open_end.warnings
     assert not any("no landing" in warning for warning in closed.warnings)
     assert open_end.here.route.left_s == pytest.approx(closed.here.route.left_s)
+
+
+def test_the_speeds_of_the_route_and_of_the_way_home_are_told_apart() -> None:
+    there_and_home = planned(to(1, 0.0, 300.0, 40.0), to(2, 200.0, 300.0, 40.0), MissionItem(3, Action.RETURN))
+    assert speed_words(there_and_home.planned.path.legs).startswith("route 5 m/s, way home 8 m/s, climb 2.5 m/s")
 
 
 def test_a_plan_names_the_autopilot_whose_defaults_it_uses() -> None:

@@ -65,8 +65,9 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         ((UP, FAR, to(3, 0.0, 0.0, 20.0, action=Action.LAND)), SETTINGS),
         ((UP, to(2, 600.0, 0.0, 70.0), to(3, 600.0, 400.0, 0.0, action=Action.LAND)), SETTINGS),
         ((UP, to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), FAR, RETURN), SETTINGS),
+        ((UP, to(2, 0.0, 300.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), RETURN), SETTINGS),
     ],
-    ids=["return", "return that waits", "landing at home", "landing elsewhere", "turns"],
+    ids=["return", "return that waits", "landing at home", "landing elsewhere", "turns", "turns to the east"],
 )
 def test_touchdown_stays_where_it_is_along_an_item_of_several_legs(
     items: tuple[MissionItem, ...], settings: ReturnSettings

@@ -153,6 +153,13 @@ def test_the_wait_over_home_counts_until_the_aircraft_sinks() -> None:
     assert return_from(5.0, -1.5, waits).touchdown_s == pytest.approx(over_home_s - 60.0, abs=5.0)
 
 
+def test_an_aircraft_that_returns_lands_over_home_and_not_on_the_way() -> None:
+    """The power of a slow landing is not that of a descent, and no speed is learned from it."""
+    for north_m, lands in ((3.0, True), (50.0, False)):
+        moves = Progress().flown(10.0, seen(10.0, north_m, 0.0, mode=Mode.RETURN))
+        assert moves is not None and moves.landing is lands
+
+
 @pytest.mark.parametrize("mode", [Mode.MISSION, Mode.RETURN])
 def test_a_return_that_ends_in_the_air_has_no_touchdown_in_any_mode(mode: Mode) -> None:
     settings = replace(SETTINGS, return_final_m=10.0)
