@@ -1,0 +1,56 @@
+"""What is said of a pack and of its flights: numbers in the crew's units, and nothing that is not so."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from packs.made import DAY_S, FIRST_UTC_S, flight
+
+from uavbatt.packs.ageing import history, prior
+from uavbatt.packs.findings import between, by_itself
+from uavbatt.packs.words import flight_line, trend_words
+
+
+@pytest.mark.parametrize(
+    ("trend", "sd", "words"),
+    [
+        (-0.016, 0.004, "\N{MINUS SIGN}1.6 % a flight"),
+        (0.02, 0.004, "+2.0 % a flight"),
+        (0.0005, 0.001, "steady"),
+        (-0.016, 0.02, "trend not known yet"),
+    ],
+)
+def test_a_trend_is_told_in_percent_a_flight_once_it_is_known(trend: float, sd: float, words: str) -> None:
+    assert trend_words(trend, sd) == words
+
+
+def test_a_dated_flight_is_in_the_future_only_beyond_tomorrow() -> None:
+    (after,) = history([flight(0)])
+    said = {days: flight_line(after, FIRST_UTC_S - days * DAY_S) for days in (-30.0, 0.5, 2.0)}
+    assert "in the future" not in said[-30.0] and "in the future" not in said[0.5]  # a log may tell local time
+    assert "in the future: the clock of the log is wrong" in said[2.0]
+    (undated,) = history([flight(0, start_utc_s=math.nan)])
+    assert flight_line(undated, FIRST_UTC_S).lstrip().startswith("no date") and "future" not in flight_line(
+        undated, 0.0
+    )
+
+
+def test_more_charge_after_some_minutes_is_another_pack_under_the_name() -> None:
+    first = flight(0, soc_end=0.2)
+    lands_s = FIRST_UTC_S + first.duration_s
+    (found,) = between(first, flight(1, start_utc_s=lands_s + 120.0, soc_start=0.9))
+    assert found.words == "70 % more charge after 2 minutes: another pack under this name?"
+    assert between(first, flight(1, start_utc_s=lands_s + 3600.0, soc_start=0.9)) == ()  # a charger of 1 C is usual
+
+
+@pytest.mark.parametrize(("below_V", "words"), [(0.05, ""), (0.07, "cell 3 lies 70 mV below the others under load")])
+def test_a_cell_that_lies_clearly_below_the_others_is_named(below_V: float, words: str) -> None:
+    assert "".join(f.words for f in by_itself(flight(0, weak_cell=3, weak_cell_V=below_V))) == words
+
+
+def test_another_battery_file_makes_a_remembered_pack_less_sure() -> None:
+    known = history([flight(k, charge=0.85) for k in range(4)])[-1].known
+    same, other = (np.diag(prior(known, 3.0, other_file).covariance) for other_file in (False, True))
+    assert np.all(other > same) and np.all(same > np.diag(known.covariance)[:2])
