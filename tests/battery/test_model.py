@@ -15,7 +15,15 @@ from uavbatt.battery import battery_file, model
 from uavbatt.battery import equations as eq
 from uavbatt.battery.model import SOC_GRID, Parameters, State
 from uavbatt.battery.openloop import simulate
-from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage, true_current, weak_soc
+from uavbatt.battery.pack import (
+    Installation,
+    grown,
+    metered_voltage,
+    terminal_voltage,
+    true_current,
+    weak_soc,
+    weak_voltage,
+)
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.tables import dense, dense_resistance, monotone_cubic
 
@@ -116,6 +124,17 @@ def test_heat_settles_where_losses_equal_cooling() -> None:
     for time_s in (10.0, 40.0, 400.0):
         core_C = float(model.advance(p, model.rested(0.9, 10.0), 4.0, 10.0, time_s).core_C)
         assert core_C == pytest.approx(10.0 + heat_W / 0.5 * -math.expm1(-time_s * 0.5 / 20.0), rel=1e-9)
+
+
+def test_the_air_of_the_propellers_cools_a_pack_sooner_and_further() -> None:
+    """With airflow the cooling is h (1 + g |c|): the core ends at q/h' and comes there with C/h'."""
+    p = cell(heat_gain=1.0, heat_capacity_JpKAh=20.0, cooling_WpKAh=0.5, airflow_gain_h=0.25)
+    heat_W, cooling_WpK = 4.0**2 * 0.03, 0.5 * (1.0 + 0.25 * 4.0)
+    for time_s in (10.0, 40.0, 400.0):
+        core_C = float(model.advance(p, model.rested(0.9, 10.0), 4.0, 10.0, time_s).core_C)
+        assert core_C == pytest.approx(
+            10.0 + heat_W / cooling_WpK * -math.expm1(-time_s * cooling_WpK / 20.0), rel=1e-9
+        )
 
 
 def test_energy_balance_of_a_cell_without_cooling() -> None:
@@ -269,6 +288,14 @@ def test_a_weak_cell_lowers_the_voltage_more_the_emptier_it_is() -> None:
     assert volts(pack(), 0.0, 1.0) == pytest.approx(volts(pack(deficit=0.1), 0.0, 1.0))  # all are full
     assert volts(pack(), 20.0, 1.0) > volts(pack(deficit=0.1), 20.0, 1.0)  # a smaller cell has more ohms
     assert float(weak_soc(Installation(4, 5.0, deficit=0.1), 0.1)) == pytest.approx(0.0)
+
+
+def test_a_weak_cell_is_a_smaller_one_under_the_same_current() -> None:
+    """Three cells of 5 Ah and one of 4.5 Ah in series: its lags are those of its own, higher C-rate."""
+    p = cell(polarisation_ratio=0.5, polarisation_tau_s=12.0, diffusion_ratio=0.8, diffusion_tau_s=400.0)
+    strong, weak = (end_state(p, model.rested(1.0, 25.0), 20.0 / Ah, 25.0, 2.0, 240.0) for Ah in (5.0, 4.5))
+    by_hand_V = float(model.cell_voltage(p, weak, 20.0 / 4.5))
+    assert float(weak_voltage(Installation(4, 5.0, deficit=0.1), p, strong, 20.0 / 5.0)) == pytest.approx(by_hand_V)
 
 
 @given(gain=st.floats(0.5, 1.5), offset_A=st.floats(-5, 5), extra_W=st.floats(0, 200), amps=st.floats(0, 100))
