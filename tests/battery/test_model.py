@@ -128,8 +128,8 @@ def test_heat_settles_where_losses_equal_cooling() -> None:
 
 def test_the_air_of_the_propellers_cools_a_pack_sooner_and_further() -> None:
     """With airflow the cooling is h (1 + g |c|): the core ends at q/h' and comes there with C/h'."""
-    p = cell(heat_gain=1.0, heat_capacity_JpKAh=20.0, cooling_WpKAh=0.5, airflow_gain_h=0.25)
-    heat_W, cooling_WpK = 4.0**2 * 0.03, 0.5 * (1.0 + 0.25 * 4.0)
+    p = cell(heat_gain=1.0, heat_capacity_JpKAh=20.0, cooling_WpKAh=0.5, airflow_gain_h=0.5)
+    heat_W, cooling_WpK = 4.0**2 * 0.03, 0.5 * (1.0 + 0.5 * 4.0)
     for time_s in (10.0, 40.0, 400.0):
         core_C = float(model.advance(p, model.rested(0.9, 10.0), 4.0, 10.0, time_s).core_C)
         assert core_C == pytest.approx(
