@@ -157,6 +157,35 @@ def test_staggered_nested_recovers_what_was_put_in():
     assert (found.s_0, found.s_1, found.s_r) == pytest.approx((2, 1, 0.5), rel=0.03)
 
 
+def test_the_degrees_of_freedom_of_a_staggered_design_follow_from_its_expected_mean_squares():
+    """The expected mean squares, solved for s_0² + s_1² + s_r², give Satterthwaite's df without our formula."""
+    rng = np.random.default_rng(5)
+    lab, setting = rng.normal(30.0, 2.0, (12, 1)), rng.normal(0.0, 1.5, (12, 2))
+    y = lab + setting[:, [0, 0, 1]] + rng.normal(0.0, 0.5, (12, 3))
+    found = intermediate.staggered(y)
+    assert min(found.raw) > 0.0 and found.mean == pytest.approx(y.mean())
+    expected = np.array([[3.0, 5.0 / 3.0, 1.0], [0.0, 4.0 / 3.0, 1.0], [0.0, 0.0, 1.0]])
+    parts = np.linalg.solve(expected.T, np.ones(3)) * found.mean_squares
+    assert parts.sum() == pytest.approx(found.s_R**2)
+    assert found.df_total == pytest.approx(parts.sum() ** 2 / np.sum(parts**2 / np.array(found.dfs)))
+
+
+def test_the_mean_of_a_nested_design_is_that_of_its_results_wherever_they_lie():
+    y = np.random.default_rng(6).normal(1000.0, 1.0, (5, 2, 2))
+    assert intermediate.nested(y).mean == pytest.approx(y.mean(), abs=1e-9)
+
+
+def test_the_uncertainty_of_a_crossed_mean_is_how_such_means_scatter():
+    """Four occasions of three samples, the same ones each time: 3,000 such tables."""
+    rng = np.random.default_rng(7)
+    tables = rng.normal(0, 0.5, (3000, 4, 1)) + np.array([0.0, 1.0, -1.0]) + rng.normal(0, 1.5, (3000, 4, 3))
+    found = [intermediate.crossed(table) for table in tables]
+    stated = np.mean([one.mean_squares[0] / 12 for one in found])  # without the limit of a variance to 0
+    assert np.var([one.mean for one in found]) == pytest.approx(stated, rel=0.06)
+    held = [one for one in found if one.s_occasion > 0.0]
+    assert [one.u_mean**2 for one in held] == pytest.approx([one.mean_squares[0] / 12 for one in held])
+
+
 def test_range_factors_of_iso_5725_6():
     factors = [round(trueness.range_factor(n), 1) for n in range(2, 11)]
     assert factors == [2.8, 3.3, 3.6, 3.9, 4.0, 4.2, 4.3, 4.4, 4.5]
