@@ -193,17 +193,23 @@ def invariances(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
           f"Effects of no size that were found: {', '.join(nothing) or 'none'}.")  # fmt: skip
 
 
-def main() -> int:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def asked_for(description: str) -> tuple[BatteryFile, str]:
+    """Return the battery of the command line, fitted when absent, and the word that planted effects shall hold."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("battery", nargs="?", type=Path, help="battery file of the truth, fitted when absent")
     parser.add_argument("--only", default="", help="planted effects whose name holds this word, and nothing else")
     asked = parser.parse_args()
     battery = battery_file.read_battery(asked.battery) if asked.battery else truth_battery(data.folder())
+    return battery, asked.only
+
+
+def main() -> int:
+    """Print the tables."""
+    battery, only = asked_for(__doc__ or "")
     pool = pools(battery)
     np.seterr(all="raise", under="ignore")
-    singles(battery, pool, asked.only)
-    if not asked.only:
+    singles(battery, pool, only)
+    if not only:
         for table in (effect_free, pairs, invariances):
             table(battery, pool)
     return 0

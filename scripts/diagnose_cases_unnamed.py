@@ -8,23 +8,17 @@ Right is `undeclared_effect`, or no name with a probability of 0.4 and more. Pri
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import diagnose_cases_inject as plant
 import numpy as np
 from diagnose_cases_inject import CAPACITY_AH, Array, Change, Flown
-from diagnose_cases_kept import pools, run
-from scoring import data
-from scoring.truth import truth_battery
-
-from uavbatt.battery import battery_file
+from diagnose_cases_kept import asked_for, pools, run
 
 DOUBTFUL = 0.4
 
@@ -125,15 +119,11 @@ CASES = (
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("battery", nargs="?", type=Path, help="battery file of the truth, fitted when absent")
-    parser.add_argument("--only", default="", help="planted effects whose name holds this word")
-    asked = parser.parse_args()
-    battery = battery_file.read_battery(asked.battery) if asked.battery else truth_battery(data.folder())
+    battery, only = asked_for(__doc__ or "")
     pool, verdicts, sure = pools(battery), Counter[str](), 0
     print("| planted | flights | diagnosis | first reason |\n|---|---|---|---|")
     for change, size in CASES:
-        for name in ("p1", "r0") if asked.only in change.__name__ else ():
+        for name in ("p1", "r0") if only in change.__name__ else ():
             found = run(pool[name], change(size), battery)
             told = " + ".join(f"{'/'.join(c.members)} {c.probability:.2f}" for c in found.classes) or "–"
             print(

@@ -1,4 +1,4 @@
-"""Flights for the tests of diagnosis, from a simulator written out here and not the package's own."""
+"""Flights for the tests of diagnosis, from a simulator written out here, not the package's own; what is found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.log_replay.run import engine_for
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
 GENERIC = battery_file.read_battery("lipo-generic")
@@ -71,3 +73,7 @@ def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observe
             break
     time_s, voltage_V, current_A, temp_C = np.array(rows).T
     return ObservedRecord(f"flight {seed}", time_s, voltage_V, current_A, temp_C, math.nan, CELLS, CAPACITY_AH)
+
+
+def found(records: list[ObservedRecord], *without: str) -> Diagnosis:
+    return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))

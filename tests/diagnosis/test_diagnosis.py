@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from msgspec.structs import replace as replaced
-from planted_flights import FILE, MISSIONS, PACK, fly
+from planted_flights import FILE, MISSIONS, PACK, fly, found
 
 from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
@@ -24,10 +24,6 @@ LEAST = 2  # flights that a diagnosis takes: its work grows with their rows
 
 def flights(count: int = LEAST, **effect: float) -> list[ObservedRecord]:
     return [fly(*mission, **effect) for mission in MISSIONS[:count]]
-
-
-def found(records: list[ObservedRecord], *without: str) -> Diagnosis:
-    return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))
 
 
 @cache

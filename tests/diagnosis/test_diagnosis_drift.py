@@ -7,18 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, MISSIONS, fly
+from planted_flights import FILE, MISSIONS, PACK, fly, found
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of, problem_of
+from uavbatt.diagnosis.diagnosis import options_of, problem_of
 from uavbatt.diagnosis.drift import drifting
 from uavbatt.diagnosis.refit import refit
 from uavbatt.fitting.observed import ObservedRecord
-from uavbatt.log_replay.run import engine_for
-
-PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 
 
 def from_to(record: ObservedRecord, first: float, last: float) -> ObservedRecord:
@@ -35,10 +31,6 @@ def warming(record: ObservedRecord, per_K: float) -> ObservedRecord:
 @pytest.fixture(scope="module")
 def flights() -> list[ObservedRecord]:
     return [fly(*mission) for mission in MISSIONS[:3]]
-
-
-def found(records: list[ObservedRecord]) -> Diagnosis:
-    return diagnose(records, FILE, PACK, engine=engine_for(is_long=True))
 
 
 def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[ObservedRecord]) -> None:

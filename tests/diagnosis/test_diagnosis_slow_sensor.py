@@ -6,17 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, MISSIONS, fly
+from planted_flights import MISSIONS, fly, found
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import late_current
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord
-from uavbatt.log_replay.run import engine_for
-
-PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 
 
 def behind(readings: Array, tau_s: float) -> Array:
@@ -31,10 +26,6 @@ def behind(readings: Array, tau_s: float) -> Array:
 @pytest.fixture(scope="module")
 def flights() -> list[ObservedRecord]:
     return [fly(*mission) for mission in MISSIONS[:3]]
-
-
-def found(records: list[ObservedRecord]) -> Diagnosis:
-    return diagnose(records, FILE, PACK, engine=engine_for(is_long=True))
 
 
 def test_a_filtered_voltage_is_no_declared_effect(flights: list[ObservedRecord]) -> None:
@@ -53,20 +44,20 @@ def test_a_filtered_current_is_no_declared_effect(flights: list[ObservedRecord])
 
 @pytest.mark.parametrize("seconds", [3, -3])
 def test_a_delay_stays_a_delay(flights: list[ObservedRecord], seconds: int) -> None:
-    late, rows = max(seconds, 0), [max(-seconds, 0), max(seconds, 0)]
+    ahead, behind_rows = max(-seconds, 0), max(seconds, 0)
     cut = [
         replace(
             r,
             time_s=r.time_s[abs(seconds) :] - abs(seconds),
-            voltage_V=r.voltage_V[rows[1] : r.time_s.size - rows[0]],
-            temp_C=r.temp_C[rows[1] : r.time_s.size - rows[0]],
-            current_A=r.current_A[rows[0] : r.time_s.size - rows[1]],
+            voltage_V=r.voltage_V[behind_rows : r.time_s.size - ahead],
+            temp_C=r.temp_C[behind_rows : r.time_s.size - ahead],
+            current_A=r.current_A[ahead : r.time_s.size - behind_rows],
         )
         for r in flights
     ]
     diagnosis = found(cut)
     assert diagnosis.verdict == "effect_found" and diagnosis.classes[0].members == ("current_delay",)
-    assert np.sign(diagnosis.classes[0].parameters["delay_s"].value) == np.sign(late or seconds)
+    assert np.sign(diagnosis.classes[0].parameters["delay_s"].value) == np.sign(seconds)
 
 
 def test_the_current_that_goes_with_a_filtered_voltage_is_the_filtered_one(flights: list[ObservedRecord]) -> None:

@@ -32,9 +32,8 @@ def test_a_dated_flight_is_in_the_future_only_beyond_tomorrow() -> None:
     assert "in the future" not in said[-30.0] and "in the future" not in said[0.5]  # a log may tell local time
     assert "in the future: the clock of the log is wrong" in said[2.0]
     (undated,) = history([flight(0, start_utc_s=math.nan)])
-    assert flight_line(undated, FIRST_UTC_S).lstrip().startswith("no date") and "future" not in flight_line(
-        undated, 0.0
-    )
+    said_undated = flight_line(undated, 0.0)
+    assert said_undated.lstrip().startswith("no date") and "future" not in said_undated
 
 
 def test_more_charge_after_some_minutes_is_another_pack_under_the_name() -> None:

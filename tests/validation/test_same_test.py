@@ -52,6 +52,12 @@ def test_a_copy_among_short_coarse_tests_is_named(number: int) -> None:
     assert f"run 99 of sample 1 at 25 °C is run {number} of sample 1 at 25 °C" in finding.detail
 
 
+def test_a_copy_is_named_where_there_is_no_other_run_to_compare_with() -> None:
+    first, *_ = data_set().runs
+    both = replace(dataset.load(), runs=(first, replace(first, run=2)))
+    assert [finding.kind for finding in found(both)] == ["copied_run"]
+
+
 def test_short_tests_read_to_a_volt_are_equal_by_chance() -> None:
     coarse = [
         replace(r, voltage_V=np.round(r.voltage_V), surface_C=np.full_like(r.surface_C, np.nan))

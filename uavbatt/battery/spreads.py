@@ -13,7 +13,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array
-from uavbatt.battery.tables import COLLAPSE_V
+from uavbatt.battery.tables import slope_below
 
 # The status of the file widens the belief: a file that was not gated may describe another battery. A generic file has
 # wide spreads by itself; the numbers of an edited file may come from anywhere.
@@ -159,9 +159,9 @@ def _charge_left(file: BatteryFile) -> float:
     A test under a large load is over while a cell still has charge: the study's ends at an open-circuit voltage of
     3.59 V. A flight that draws less goes on.
     """
-    (soc, above_soc), (volts, above_V) = file.parameters.ocv_soc[:2], file.parameters.ocv_V[:2]
-    steepness_V = max((above_V - volts) / (above_soc - soc), COLLAPSE_V)
-    return max(volts - steepness_V * soc - EMPTY_CELL_V, 0.0) / steepness_V
+    soc, ocv_V = np.array(file.parameters.ocv_soc), np.array(file.parameters.ocv_V)
+    slope_V = float(slope_below(soc, ocv_V)[0])
+    return max(float(ocv_V[0]) - slope_V * float(soc[0]) - EMPTY_CELL_V, 0.0) / slope_V
 
 
 def _ocv_drift_sd_V(stated_V: Array, alone_share: float) -> Array:

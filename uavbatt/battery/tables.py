@@ -16,11 +16,17 @@ def dense(knots_soc: Array, values: Array) -> Array:
     cell has no plateau.
     """
     table = monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, values)
-    slope = np.diff(values, axis=-1) / np.diff(knots_soc)
+    slope_above = (values[..., -1:] - values[..., -2:-1]) / (knots_soc[-1] - knots_soc[-2])
     below = np.minimum(SOC_GRID - knots_soc[0], 0.0)
     above = np.maximum(SOC_GRID - knots_soc[-1], 0.0)
-    table += np.maximum(slope[..., :1], COLLAPSE_V) * below + slope[..., -1:] * above
+    table += slope_below(knots_soc, values) * below + slope_above * above
     return table
+
+
+def slope_below(knots_soc: Array, values: Array) -> Array:
+    """Return the slope [V], [..., 1], with which a table of `values` [..., knots] goes on below its lowest knot."""
+    slope: Array = np.diff(values[..., :2], axis=-1) / (knots_soc[1] - knots_soc[0])
+    return np.maximum(slope, COLLAPSE_V)
 
 
 def dense_resistance(knots_soc: Array, values: Array) -> Array:

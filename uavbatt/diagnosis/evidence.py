@@ -64,19 +64,19 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Evidence holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is late current.
+    """Evidence holds records, in `stack` side by side, with their whitening.
 
-    `followed_A` is the like for filtered readings (`late_current.followed`).
+    `shifted_A` [shifts, rows, records] is late current.
     `quick_A` [rows, records] is the part of the current to which the polarisation has not responded yet.
 
     `start_soc` and `start_sd` are the charge that each record is believed to start with and its sd.
     """
 
+    records: tuple[ObservedRecord, ...]
     stack: Stack
     volts: tuple[Whitener, ...]
     temps: tuple[Whitener | None, ...]
     shifted_A: Array
-    followed_A: Array
     quick_A: Array
     known_ambient: Array
     start_soc: Array
@@ -179,6 +179,7 @@ def prepare(
     full_soc = spread.start_soc or 1.0
     start_soc, start_sd, in_part = _starts(stack, ocv_soc, full_soc)
     return Evidence(
+        records=tuple(records),
         stack=stack,
         volts=tuple(
             _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
@@ -186,7 +187,6 @@ def prepare(
         ),
         temps=tuple(_temperature_whitener(stack, j, spread, noise_K(r)) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
-        followed_A=late_current.followed(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,

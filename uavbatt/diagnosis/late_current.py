@@ -1,11 +1,13 @@
 """The current of a record read some seconds later: what a delay between the two readings does; and, as its rival, the
 current that goes with a voltage or a current behind a filter.
 
-Both are worked out once at SHIFTS_S. Between these it is interpolated by cubic convolution (Keys, IEEE Trans. ASSP 29,
+Both are worked out at SHIFTS_S. Between these it is interpolated by cubic convolution (Keys, IEEE Trans. ASSP 29,
 1981), which is smooth in the delay: linear interpolation has a corner at zero delay, and a refit would stop there.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -30,7 +32,7 @@ def shifted(records: list[ObservedRecord], stack: Stack) -> Array:
     return out
 
 
-def followed(records: list[ObservedRecord], stack: Stack) -> Array:
+def followed(records: Sequence[ObservedRecord], stack: Stack) -> Array:
     """Return the current [A] that goes with filtered readings, [shifts, rows, records], averaged as in the record.
 
     At a shift of -tau seconds it is the current behind a first-order filter of tau, which fits a voltage read behind

@@ -123,20 +123,19 @@ def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refi
     drifts must save as much beside the member of the class that predicts best.
     """
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
-    ways: list[tuple[Refit, Course]] = [(fit, "time") for fit in singles.fits]
-    ways += [(gain, "temperature") for gain in _voltage_gains(problem, singles)]
     saves = []
-    for fit, along in ways:
-        if (drift := drifting(problem, fit, along)) is not None:
-            saves.append((min(saved(drift, steady) for steady in (_settled(problem, fit), steadiest)), drift))
+    for fit in singles.fits:
+        drifts = [drift for along in _courses(problem, fit) if (drift := drifting(problem, fit, along)) is not None]
+        steady = (_settled(problem, fit), steadiest) if drifts else ()
+        saves += [(min(saved(drift, s) for s in steady), drift) for drift in drifts]
     most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
     return best if most > EARNED_TOGETHER else None
 
 
-def _voltage_gains(problem: Problem, singles: Trial) -> list[Refit]:
-    """Return the refit of the voltage gain if the records have a temperature, else nothing."""
-    has_temperature = problem.evidence.has_temperature
-    return [fit for fit in singles.fits if has_temperature and fit.candidate.name == VARIES_WITH_TEMPERATURE]
+def _courses(problem: Problem, fit: Refit) -> tuple[Course, ...]:
+    """Return along what an effect may drift: time, and for the voltage gain the temperature if every record has it."""
+    warms = fit.candidate.name == VARIES_WITH_TEMPERATURE and problem.evidence.has_temperature
+    return ("time", "temperature") if warms else ("time",)
 
 
 def _drifting_gain(problem: Problem, singles: Trial) -> list[FoundEffect]:
@@ -145,7 +144,7 @@ def _drifting_gain(problem: Problem, singles: Trial) -> list[FoundEffect]:
     Part of its saving may come from errors of the file; it must therefore be worth as much as each effect of a pair,
     and the drift must save something beside the same gain without it.
     """
-    for fit in _voltage_gains(problem, singles):
+    for fit in [fit for fit in singles.fits if "temperature" in _courses(problem, fit)]:
         drift = drifting(problem, fit, "temperature")
         if drift is None or not saved(drift, _settled(problem, fit)) > EARNED_TOGETHER:
             continue

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 
@@ -22,7 +23,9 @@ def following(problem: Problem, fit: Refit) -> Refit | None:
     """
     if fit.candidate.name != STANDS_FOR:
         return None
-    filtered = replace(problem, evidence=replace(problem.evidence, shifted_A=problem.evidence.followed_A))
+    evidence = problem.evidence
+    followed_A = late_current.followed(evidence.records, evidence.stack)
+    filtered = replace(problem, evidence=replace(evidence, shifted_A=followed_A))
     return refit(filtered, [fit.candidate], start=[fit], iterations=SETTLED)[0]
 
 

@@ -84,8 +84,8 @@ def least_soc(flying: Flying) -> Array:
     """Return the charge [draws] below which each draw ends: the reserve, else none that the pack may give.
 
     It holds along the route and on the way home. A curve goes on below its charge of 0, so that a cut-off far below it
-    would be met long after a pack is empty. For a make that nobody tested it is not known how much charge lies below
-    that point of the curve.
+    would be met long after a pack is empty. How much charge lies below that point of the curve is not known for a make
+    that nobody tested, or whose tests ended under a large load.
     """
     if flying.reserve_soc > 0.0:
         return np.full(DRAWS, flying.reserve_soc)

@@ -53,8 +53,8 @@ def _equal_pairs(runs: Sequence[Run]) -> Iterator[tuple[Run, Run]]:
     """
     pairs = [(a, b, *_equal_numbers(a, b)) for a, b in combinations(runs, 2) if len(a.time_s) == len(b.time_s)]
     others = [(n, of) for a, b, n, of in pairs if a.ambient_C == b.ambient_C and n < of]
-    equal, numbers = np.sum(others, axis=0) if others else (USUAL_SHARE, 1.0)
-    share = max(equal / numbers, 1.0 / numbers)
+    alike, of_all = np.sum(others, axis=0) if others else (0, 0)
+    share = max(alike, 1) / of_all if others else USUAL_SHARE
     for a, b, equal, numbers in pairs:
         if equal == numbers and len(pairs) * share**numbers < LEAST_CHANCE:
             yield a, b
@@ -68,8 +68,9 @@ def _equal_numbers(a: Run, b: Run) -> tuple[int, int]:
     equal, numbers = 0, 0
     for x, y in zip(_columns(a), _columns(b), strict=True):
         same = (x == y) | (np.isnan(x) & np.isnan(y))
-        counts = ~np.isnan(x) if np.nanmin(x, initial=np.inf) < np.nanmax(x, initial=-np.inf) else ~same
-        equal, numbers = equal + int(np.sum(same & counts)), numbers + int(np.sum(counts | ~same))
+        changes = np.nanmin(x, initial=np.inf) < np.nanmax(x, initial=-np.inf)
+        counts = ~same | (changes & ~np.isnan(x))
+        equal, numbers = equal + int(np.sum(same & counts)), numbers + int(np.sum(counts))
     return equal, numbers
 
 
