@@ -1,8 +1,9 @@
 """A simulated flight along a mission: position and power over time.
 
-Legs are flown at their planned speeds over ground, without acceleration. The wind changes the airspeed and so the
-power, by the same law as in the forecast of a route. After the last item the aircraft returns, as if the pilot switched
-to RTL. A mission without home as item 0 is a PX4's: it is flown with PX4's modes, numbers and default parameters.
+Legs are flown at their planned speeds over ground, each from standstill to standstill. The wind changes the airspeed
+and so the power, by the same law as in the forecast of a route. After the last item the aircraft returns, as if the
+pilot switched to RTL. A mission without home as item 0 is a PX4's: it is flown with PX4's modes, numbers and default
+parameters.
 """
 
 from __future__ import annotations
@@ -34,17 +35,18 @@ class Autopilot(NamedTuple):
     """
 
     is_px4: bool
+    acceleration_ms2: float  # by default WPNAV_ACCEL, MPC_ACC_HOR
     hold: int
     mission: int
     returning: int
     parameters: Mapping[str, float]  # an int is an integer of the autopilot
 
 
-ARDUCOPTER = Autopilot(False, 5, 3, 6, {
+ARDUCOPTER = Autopilot(False, 2.5, 5, 3, 6, {
     "WPNAV_SPEED": 500.0, "WPNAV_SPEED_UP": 250.0, "WPNAV_SPEED_DN": 150.0, "RTL_ALT": 1500.0, "RTL_SPEED": 0.0,
     "RTL_LOIT_TIME": 5000.0, "RTL_ALT_FINAL": 0.0, "LAND_SPEED": 50.0, "LAND_SPEED_HIGH": 0.0,
 })  # fmt: skip
-PX4 = Autopilot(True, px4_auto(3), px4_auto(4), px4_auto(5), {
+PX4 = Autopilot(True, 3.0, px4_auto(3), px4_auto(4), px4_auto(5), {
     "MPC_XY_CRUISE": 5.0, "MPC_Z_V_AUTO_UP": 3.0, "MPC_Z_V_AUTO_DN": 1.5, "RTL_RETURN_ALT": 60.0, "RTL_LAND_DELAY": 0.0,
     "RTL_CONE_ANG": 45, "RTL_MIN_DIST": 10.0, "RTL_TYPE": 0, "MPC_LAND_SPEED": 0.7, "MPC_LAND_ALT2": 5.0,
 })  # fmt: skip
@@ -54,15 +56,52 @@ SHORTEST_AIRSPEED_MS = 0.01  # 0 would say that it is not known
 Watts = Callable[[float, float, Phase], float]  # airspeed [m/s], climb [m/s], phase -> power [W]
 
 
+class Motion(NamedTuple):
+    """Motion is how a leg is flown: speed is gained for `gaining_s` [s], kept, and lost in the same time.
+
+    fastest : the share of the leg that is flown in a second [1/s] at that speed
+    """
+
+    gaining_s: float
+    fastest: float
+
+    @property
+    def lasts_s(self) -> float:
+        """Return the time of the movement [s]."""
+        return self.gaining_s + 1.0 / self.fastest
+
+    def at(self, since_s: float) -> tuple[float, float]:
+        """Return the share of the leg that is flown after a time [s], and the share that is flown in a second [1/s]."""
+        if not 0.0 <= since_s < self.lasts_s:
+            return float(since_s > 0.0), 0.0
+        from_end_s = min(since_s, self.lasts_s - since_s)  # both halves of the movement are alike
+        gained_s = min(from_end_s, self.gaining_s)
+        rate = self.fastest * (gained_s / self.gaining_s)
+        share = 0.5 * rate * gained_s + self.fastest * (from_end_s - gained_s)
+        return (share if from_end_s == since_s else 1.0 - share), rate
+
+
+def motion_of(leg: Leg, acceleration_ms2: float) -> Motion:
+    """Return how a leg is flown from standstill to standstill."""
+    if leg.moving_s == 0.0:
+        return Motion(0.0, math.inf)
+    gaining_s = leg.fastest_ms / acceleration_ms2
+    if gaining_s <= leg.moving_s:
+        return Motion(gaining_s, 1.0 / leg.moving_s)
+    shortest_s = math.sqrt(gaining_s * leg.moving_s)
+    return Motion(shortest_s, 1.0 / shortest_s)
+
+
 @dataclass(frozen=True, slots=True)
 class RouteFlight:
-    """A RouteFlight holds legs in their order, when each begins [s], when it lands [s], wind and autopilot."""
+    """A RouteFlight holds legs in their order, how and when [s] each is flown, the landing, wind and autopilot."""
 
     mission: Mission
     home: Home
     wind: Wind
     autopilot: Autopilot
     legs: tuple[Leg, ...]
+    motions: tuple[Motion, ...]
     begins_s: tuple[float, ...]
     lands_s: float
 
@@ -74,11 +113,9 @@ class RouteFlight:
 
     def position(self, time_s: float) -> Position:
         """Return where the aircraft is at a time [s], and how it moves."""
-        leg, since_s = self._leg(time_s), time_s - self.begins_s[self._index(time_s)]
-        is_moving = 0.0 <= since_s < leg.moving_s and time_s < self.lands_s
-        share = min(max(since_s / leg.moving_s, 0.0), 1.0) if leg.moving_s > 0.0 else 1.0
-        place, moved = _on_leg(leg, share)
-        rate = 1.0 / leg.moving_s if is_moving else 0.0
+        index = self._index(time_s)
+        share, rate = self.motions[index].at(time_s - self.begins_s[index])
+        place, moved = _on_leg(self.legs[index], share)
         north_ms, east_ms, up_ms = (metres * rate for metres in moved)
         in_air = self.begins_s[0] <= time_s < self.lands_s
         wind = self.wind if in_air else Wind(0.0, 0.0)
@@ -117,9 +154,10 @@ def route_flight(
     way: Path = path(mission, home, settings or return_settings(own.parameters, own.is_px4))
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end, and never lands'}")
-    times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
+    motions = tuple(motion_of(leg, own.acceleration_ms2) for leg in way.legs)
+    times_s = [motion.lasts_s + leg.hold_s for motion, leg in zip(motions, way.legs, strict=True)]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
-    return RouteFlight(mission, home, wind, own, way.legs, begins_s[:-1], begins_s[-1])
+    return RouteFlight(mission, home, wind, own, way.legs, motions, begins_s[:-1], begins_s[-1])
 
 
 def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
