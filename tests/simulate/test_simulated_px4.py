@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_frames import frames
 from uavbatt.telemetry.route.messages import WIND, WIND_COV
+
+ARDUPILOT = 3
 
 
 def item(command: int, jump_id: int, north_deg: float, alt_m: float) -> dict[str, Any]:
@@ -82,3 +85,15 @@ def test_it_writes_no_log_of_an_ardupilot(log: Path) -> None:
     assert done.returncode == 2
     assert "the mission is a PX4's" in done.stderr and done.stderr.count("\n") == 1
     assert not (log.parent / "f.BIN").exists()
+
+
+@pytest.mark.parametrize("firmware", [ARDUPILOT, AUTOPILOT_PX4])
+def test_it_flies_at_the_speed_of_the_plan(firmware: int, tmp_path: Path) -> None:
+    mission = {**PLAN["mission"], "firmwareType": firmware, "hoverSpeed": 7.5}
+    (tmp_path / "fast.plan").write_text(json.dumps({**PLAN, "mission": mission}))
+    done = called("simulate", "-o", "f.tlog", "--mission", "fast.plan", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = read_log(tmp_path / "f.tlog").navigation
+    assert told[-1].settings.cruise_ms == pytest.approx(7.5)
+    fastest_ms = max(math.hypot(n.position.north_ms, n.position.east_ms) for n in told if n.position is not None)
+    assert fastest_ms == pytest.approx(7.5, abs=0.1)

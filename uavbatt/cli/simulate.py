@@ -96,7 +96,7 @@ def _route(mission: Path, wind: str | None) -> RouteFlight:
     from uavbatt.simulate.route import route_flight
 
     planned, home = mission_from_home(mission)
-    return route_flight(planned.mission, home, stated_wind(wind), IDLE_S)
+    return route_flight(planned.mission, home, stated_wind(wind), IDLE_S, cruise_ms=planned.cruise_ms)
 
 
 def _along(route: RouteFlight, pack: Pack, flight: SimulatedFlight) -> list[Sample]:

@@ -20,9 +20,9 @@ from msgspec.structs import replace
 
 from uavbatt.battery.powers import UNKNOWN, power, terms
 from uavbatt.errors import UsageError
-from uavbatt.navigation import Home, Mission, Position, ReturnSettings, Wind
+from uavbatt.navigation import NAN, Home, Mission, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
-from uavbatt.prediction.route_path import METRES_PER_DEGREE, Path, path
+from uavbatt.prediction.route_path import ACCELERATION_MS2, METRES_PER_DEGREE, Path, finite_or, path
 from uavbatt.simulate.route_writer import FlownRoute, RouteRow
 from uavbatt.telemetry.route.modes import px4_auto
 from uavbatt.telemetry.route.settings import return_settings
@@ -35,18 +35,23 @@ class Autopilot(NamedTuple):
     """
 
     is_px4: bool
-    acceleration_ms2: float  # by default WPNAV_ACCEL, MPC_ACC_HOR
     hold: int
     mission: int
     returning: int
+    cruise: tuple[str, float]  # the parameter of the speed on the route, and its units in 1 m/s
     parameters: Mapping[str, float]  # an int is an integer of the autopilot
 
+    def at_cruise(self, cruise_ms: float) -> Autopilot:
+        """Return the autopilot with another speed on the route [m/s]."""
+        name, units = self.cruise
+        return self._replace(parameters={**self.parameters, name: cruise_ms * units})
 
-ARDUCOPTER = Autopilot(False, 2.5, 5, 3, 6, {
+
+ARDUCOPTER = Autopilot(False, 5, 3, 6, ("WPNAV_SPEED", 100.0), {
     "WPNAV_SPEED": 500.0, "WPNAV_SPEED_UP": 250.0, "WPNAV_SPEED_DN": 150.0, "RTL_ALT": 1500.0, "RTL_SPEED": 0.0,
     "RTL_LOIT_TIME": 5000.0, "RTL_ALT_FINAL": 0.0, "LAND_SPEED": 50.0, "LAND_SPEED_HIGH": 0.0,
 })  # fmt: skip
-PX4 = Autopilot(True, 3.0, px4_auto(3), px4_auto(4), px4_auto(5), {
+PX4 = Autopilot(True, px4_auto(3), px4_auto(4), px4_auto(5), ("MPC_XY_CRUISE", 1.0), {
     "MPC_XY_CRUISE": 5.0, "MPC_Z_V_AUTO_UP": 3.0, "MPC_Z_V_AUTO_DN": 1.5, "RTL_RETURN_ALT": 60.0, "RTL_LAND_DELAY": 0.0,
     "RTL_CONE_ANG": 45, "RTL_MIN_DIST": 10.0, "RTL_TYPE": 0, "MPC_LAND_SPEED": 0.7, "MPC_LAND_ALT2": 5.0,
 })  # fmt: skip
@@ -143,18 +148,27 @@ class RouteFlight:
 
 
 def route_flight(
-    mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
+    mission: Mission,
+    home: Home,
+    wind: Wind,
+    take_off_s: float,
+    settings: ReturnSettings | None = None,
+    cruise_ms: float = NAN,
 ) -> RouteFlight:
     """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end.
 
     settings : speeds and way home; by default those of the autopilot's parameters
+    cruise_ms : speed on the route [m/s]; by default the autopilot's
     """
     mission = dataclasses.replace(mission, return_reason="")  # this one has no rally points
     own = ARDUCOPTER if mission.has_home_item else PX4
-    way: Path = path(mission, home, settings or return_settings(own.parameters, own.is_px4))
+    own = own.at_cruise(cruise_ms) if math.isfinite(cruise_ms) else own
+    settings = settings or return_settings(own.parameters, own.is_px4)
+    way: Path = path(mission, home, settings)
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end, and never lands'}")
-    motions = tuple(motion_of(leg, own.acceleration_ms2) for leg in way.legs)
+    acceleration_ms2 = finite_or(settings.acceleration_ms2, ACCELERATION_MS2)
+    motions = tuple(motion_of(leg, acceleration_ms2) for leg in way.legs)
     times_s = [motion.lasts_s + leg.hold_s for motion, leg in zip(motions, way.legs, strict=True)]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
     return RouteFlight(mission, home, wind, own, way.legs, motions, begins_s[:-1], begins_s[-1])
