@@ -64,6 +64,10 @@ class SpeedKind(StrEnum):
     DESCENT = "descent"
 
 
+LANDINGS = (Action.LAND, Action.UNKNOWN)
+LAND_STARTS = (189,)  # MAV_CMD_DO_LAND_START
+
+
 @dataclass(frozen=True, slots=True)
 class MissionItem:
     """MissionItem is one item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home, kept)."""
@@ -95,6 +99,11 @@ class Mission:
     has_home_item: bool = True  # ArduPilot: item 0 is home and is never flown to; PX4: item 0 is the first that is
     return_reason: str = ""  # why the way home is not straight, if what came with the mission says so (rally points)
 
+    @property
+    def lands(self) -> bool:
+        """Return True if the mission lands by itself, or may: an item is not understood."""
+        return bool(self.reason) or any(item.action in LANDINGS or item.command in LAND_STARTS for item in self.items)
+
 
 @dataclass(frozen=True, slots=True)
 class Home:
@@ -125,7 +134,8 @@ class ReturnSettings:
     circle_radius_m: float = NAN  # of turns whose item has no radius (CIRCLE_RADIUS)
     circle_rate_deg_s: float = NAN  # fastest turn on a circle, negative anticlockwise (CIRCLE_RATE)
     acceleration_ms2: float = NAN  # on the route (WPNAV_ACCEL)
-    return_reason: str = ""  # why the way home is not straight, if it is not (rally points, a mission's landing)
+    return_reason: str = ""  # why the way home is not straight, if it is not (rally points)
+    landing_reason: str = ""  # why it is not, if the mission lands by itself: the vehicle may fly to that landing
     is_px4: bool = False  # what is not known is PX4's default, else ArduCopter's
 
 

@@ -68,6 +68,18 @@ def test_a_pack_changed_behind_a_lost_link_is_told_by_the_counter(air_s: int, si
     assert max(excess_s) < 25.0
 
 
+def test_the_same_pack_after_five_silent_minutes_keeps_what_the_flight_told() -> None:
+    pack = Pack()
+    rows = rested(pack, 15, 0.0)
+    rows += flown(pack, 15.0, 300, rows[-1].consumed_Ah)
+    silent_from_s = rows[-1].time_s
+    rows += flown(pack, silent_from_s + 300.0, drawn_Ah=rows[-1].consumed_Ah)
+    said = [e for e, _ in generic_estimator(STATED, 1.0).run(rows)]
+    told = [e for e in said if e.time_s <= silent_from_s][-1]
+    back = next(e for e in said if e.time_s > silent_from_s + 10.0)
+    assert back.capacity_scale_sd < told.capacity_scale_sd + 0.01
+
+
 def test_an_autopilot_that_starts_anew_in_the_air_changes_no_pack() -> None:
     """Its counter falls as well; load and voltage go on as they were."""
     pack = Pack()

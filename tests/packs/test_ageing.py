@@ -169,6 +169,13 @@ def test_a_month_on_the_shelf_is_known_less_than_a_day():
     assert (month[:2] > day[:2]).all()
 
 
+def test_a_month_of_storage_adds_two_percent_of_ohms_and_one_of_charge_to_the_doubt():
+    known = ageing.history([flight(0)])[-1].known
+    now, later = (np.diag(ageing.predicted(known, days).covariance)[:2] for days in (0.0, 365.0 / 12.0))
+    assert np.sqrt(later - now) == pytest.approx([0.020, 0.010], rel=0.01)
+    assert ageing.days_between(flight(0), flight(1).start_utc_s) == pytest.approx(3.0)
+
+
 def test_a_counter_that_falls_and_a_charge_that_no_charger_gives_are_named():
     first = flight(0, cycles=40, soc_end=0.3)
     soon = {"start_utc_s": first.start_utc_s + first.duration_s + 120.0}

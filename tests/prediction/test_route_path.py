@@ -10,8 +10,9 @@ from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
 from uavbatt.prediction.route_legs import Phase, Point, way_points
-from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, way_home
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, return_reason, way_home
 from uavbatt.simulate.route import route_flight
+from uavbatt.telemetry.route.settings import return_settings
 
 
 def ends(*items: MissionItem) -> list[tuple[float, float, float]]:
@@ -166,6 +167,17 @@ def test_a_px4_that_states_nothing_climbs_higher_than_an_arducopter() -> None:
     far = Point(0.0, 300.0, 10.0)
     assert way_home(far, ReturnSettings())[0].end.height_m == 15.0
     assert way_home(far, ReturnSettings(is_px4=True))[0].end.height_m == 60.0
+
+
+@pytest.mark.parametrize("rtl_type", [1.0, 3.0])
+def test_a_px4_that_prefers_a_landing_flies_straight_home_without_one(rtl_type: float) -> None:
+    settings = return_settings({"RTL_TYPE": rtl_type, "RTL_RETURN_ALT": 30.0}, is_px4=True)
+    assert return_reason(mission(to(1, 100.0, 0.0, 30.0)), settings) == ""
+    landing = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.LAND))
+    vtol = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.UNKNOWN, command=85, reason="a VTOL lands"))
+    begun = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.OTHER, command=189))
+    for flown in (landing, vtol, begun, None):  # without a mission, nobody knows whether it has a landing
+        assert f"RTL_TYPE {rtl_type:g}" in return_reason(flown, settings)
 
 
 def test_the_cone_of_a_px4_counts_only_near_home() -> None:

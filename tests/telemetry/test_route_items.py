@@ -229,4 +229,6 @@ def test_a_way_home_that_may_lead_elsewhere_says_so() -> None:
     assert "rally" in return_settings({"RALLY_TOTAL": 2.0}).return_reason
     assert "terrain" in return_settings({"RTL_ALT_TYPE": 1.0}).return_reason
     assert "RTL_TYPE 2" in return_settings({"RTL_TYPE": 2.0, "RTL_RETURN_ALT": 30.0}).return_reason
-    assert return_settings({"RALLY_TOTAL": 0.0, "RTL_ALT": 1500.0}).return_reason == ""
+    assert "RTL_TYPE 1" in return_settings({"RTL_TYPE": 1.0, "RTL_RETURN_ALT": 30.0}).landing_reason
+    straight = return_settings({"RALLY_TOTAL": 0.0, "RTL_TYPE": 0.0, "RTL_ALT": 1500.0})
+    assert straight.return_reason == straight.landing_reason == ""

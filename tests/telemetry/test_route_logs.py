@@ -275,7 +275,7 @@ def test_the_place_of_a_px4_log_counts_from_its_home(shared_data: Path) -> None:
     assert {n.mode for n in found.navigation} >= {Mode.LAND, Mode.HOLD}
     wings = read_log(shared_data / "flights" / "px4" / "vtol_ground_two_batteries.ulg")
     assert {n.mode for n in wings.navigation} == {Mode.UNKNOWN}
-    assert "RTL_TYPE 1" in wings.navigation[-1].settings.return_reason
+    assert "RTL_TYPE 1" in wings.navigation[-1].settings.landing_reason
 
 
 def test_info_names_the_route(folder: Path) -> None:

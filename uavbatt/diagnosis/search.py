@@ -97,6 +97,8 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
             return []
         pair_finding = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
         share = max(pair.share(member.candidate.name) for member in pair_finding.members)
+        if share == 0.0:  # no pair that passed has such a member: what stands there now is another model
+            return []
         both.append(replace(pair_finding, probability=min(pair_finding.probability, share)))
     if any(f.worth.value < EARNED for f in both):
         return []

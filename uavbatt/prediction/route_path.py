@@ -79,7 +79,9 @@ def finite_or(value: float, otherwise: float) -> float:
 
 def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
     """Return why the way home is not known, as vehicle or mission tell it; empty when it is known."""
-    return settings.return_reason or (mission.return_reason if mission is not None else "")
+    if mission is None:  # it may have a landing that nobody sent
+        return settings.return_reason or settings.landing_reason
+    return settings.return_reason or mission.return_reason or (settings.landing_reason if mission.lands else "")
 
 
 def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:

@@ -30,6 +30,7 @@ _ACCELERATION = (("WP_ACC", 1.0), ("WPNAV_ACCEL", _CENTI))
 _CONE_SLOPE, _CONE_ANGLE_DEG = "RTL_CONE_SLOPE", "RTL_CONE_ANG"
 _PX4_MIN_DIST, _PX4_MIN_DIST_M = "RTL_MIN_DIST", 10.0
 _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
+_PX4_TO_LANDING = (1.0, 3.0)  # to the landing of the mission if it has one, else straight home; 1 is a VTOL's default
 _RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
 _ALL = (
     _CRUISE, _CLIMB, _DESCENT, _RETURN_HEIGHT, _RETURN_SPEED, _RETURN_FINAL, _RETURN_CLIMB_MIN, _RETURN_HOLD, _LAND,
@@ -62,6 +63,7 @@ def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnS
         circle_rate_deg_s=_first(known, _CIRCLE_RATE),
         acceleration_ms2=_positive(known, _ACCELERATION),
         return_reason=_reason(known),
+        landing_reason=_landing_reason(known),
         is_px4=is_px4,
     )
 
@@ -102,6 +104,13 @@ def _reason(known: Mapping[str, float]) -> str:
         return f"the vehicle has rally points (RALLY_TOTAL {known[_RALLY]:g}): it may return to one of them"
     if known.get(_TERRAIN, 0.0) > 0.0:
         return "the vehicle returns at a height above the terrain (RTL_ALT_TYPE 1)"
-    if known.get(_PX4_TYPE, 0.0) > 0.0:
+    if known.get(_PX4_TYPE, 0.0) > 0.0 and known[_PX4_TYPE] not in _PX4_TO_LANDING:
         return f"the vehicle may return along a mission (RTL_TYPE {known[_PX4_TYPE]:g})"
+    return ""
+
+
+def _landing_reason(known: Mapping[str, float]) -> str:
+    """Return in words why the way home is not straight if the mission lands; empty if it is straight even then."""
+    if known.get(_PX4_TYPE, 0.0) in _PX4_TO_LANDING:
+        return f"the vehicle may return to the landing of its mission (RTL_TYPE {known[_PX4_TYPE]:g})"
     return ""
