@@ -112,7 +112,7 @@ def test_a_fit_tells_the_start_of_packs_that_charge_to_less_than_full(
     slow: list[ObservedRecord], started: float, told: float | None
 ) -> None:
     stack = observed.stack(slow)
-    fit = solve.fit_cell(stack, ("polarisation",), has_bench=True)
+    fit = solve.fit_cell(stack, ("polarisation",))
     trajectory = solve.replay_fit(stack, fit)
     trajectory = trajectory._replace(soc=trajectory.soc - trajectory.soc[0] + started)
     found = wander.learn(stack, trajectory, list(range(len(slow))), CELLS).start_soc

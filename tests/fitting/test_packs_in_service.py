@@ -30,7 +30,7 @@ def logs(packs: tuple[tuple[float, float], ...]) -> list[Flight]:
 
 def evidence(packs: tuple[tuple[float, float], ...], own_prior: solve.OwnPrior) -> float:
     stack = observed.stack([observed.from_flight(f, SIZE.cells, SIZE.capacity_Ah) for f in logs(packs)])
-    return solve.fit_cell(stack, own_prior=own_prior, evaluations=60, has_bench=False).log_evidence
+    return solve.fit_cell(stack, own_prior=own_prior, evaluations=60).log_evidence
 
 
 def test_the_flights_tell_packs_that_are_alike_from_packs_of_every_age() -> None:

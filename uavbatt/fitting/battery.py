@@ -151,10 +151,7 @@ def _solve_for(records: FittedRecords, chemistry: Chemistry) -> CellFit:
     88 to 101 % the soc was then wrong by 2.1 of its standard deviations. Where packs are alike, more freedom costs.
     """
     effects, own_prior = _freedom(records.bench, records.flights)
-    has_bench = records.bench > 0
-    fit = partial(
-        solve.fit_cell, records.stack, effects, evaluations=EVALUATIONS, has_bench=has_bench, chemistry=chemistry
-    )
+    fit = partial(solve.fit_cell, records.stack, effects, evaluations=EVALUATIONS, chemistry=chemistry)
     alike = fit(own_prior=own_prior)
     if not records.has_spread:
         return alike

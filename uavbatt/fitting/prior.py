@@ -22,10 +22,10 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
-# At the knee, below a tenth of the charge, makes differ less in the fall of the OCV from knot to knot than in its
-# level. Flights that end at a few C do not reach the last hundredths of the charge. Without this prior a fit made the
-# OCV flat there, and the time too long for packs that were emptied deeper or more slowly than on those flights.
-KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
+# Makes differ less in the fall of the OCV from knot to knot than in its level. Without this prior a fit to few rows made
+# steps, and a fit to flights, which end at a few C and do not reach the last hundredths of the charge, made the OCV flat
+# there: the time was too long for packs that were emptied deeper or more slowly than on those flights.
+FALL_SD_V = np.array([0.15, 0.08, 0.08, *[0.03] * 11])  # between neighbouring knots
 
 # Rested voltage of a cylindrical lithium-ion cell (NMC or NCA): rounded averages of measured cells (Chen et al., J.
 # Electrochem. Soc. 167, 2020, 080534; Kim et al., ibid. 158, 2011, A955) and of typical cells.
@@ -123,19 +123,16 @@ def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
     return ocv_V, x[..., at["r0_ohmAh"], None] * shape
 
 
-def monotonicity_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
-    """Return the residuals [..., knots - 1] where the OCV does not rise with the charge by OCV_SLOPE_V; else 0."""
-    ocv_V, _ = knots(slots, x)
-    short_V = OCV_SLOPE_V * np.diff(OCV_SOC) - np.diff(ocv_V, axis=-1)
-    return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
+def shape_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO) -> Array:
+    """Return the residuals [..., 2 (knots - 1)] of the OCV's shape for values x [..., slots].
 
-
-def knee_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO) -> Array:
-    """Return the residuals [..., 3] of the OCV's falls at the knee, against those of the prior."""
+    First those where the OCV does not rise with the charge by OCV_SLOPE_V, else 0; then those of its falls from knot to
+    knot, against the falls of the chemistry.
+    """
     ocv_V, _ = knots(slots, x)
-    last = KNEE_SD_V.size + 1
-    falls_V = np.diff(ocv_V[..., :last], axis=-1) - np.diff(chemistry.ocv_V[:last])
-    return np.asarray(falls_V / KNEE_SD_V)
+    rise_V = np.diff(ocv_V, axis=-1)
+    short_V = np.maximum(OCV_SLOPE_V * np.diff(OCV_SOC) - rise_V, 0.0)
+    return np.concatenate([short_V / DISORDER_SD_V, (rise_V - np.diff(chemistry.ocv_V)) / FALL_SD_V], axis=-1)
 
 
 def made_monotone(ocv_V: Array) -> Array:

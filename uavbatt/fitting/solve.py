@@ -113,7 +113,6 @@ class _Unknowns:
     effects: tuple[str, ...]
     own_mean: Array  # [records, 3]
     own_sd: Array
-    has_bench: bool
     chemistry: Chemistry
 
     @property
@@ -129,10 +128,7 @@ class _Unknowns:
         """Return the residuals [variants, rows·2, records] of v, and the OCV shape's [variants, differences]."""
         x, own = self.values(v)
         trajectory = run(self.stack, self.slots, self.effects, x, own)
-        shape = prior.monotonicity_penalty(self.slots, x)
-        if not self.has_bench:
-            shape = np.concatenate([shape, prior.knee_penalty(self.slots, x, self.chemistry)], axis=-1)
-        return residuals(self.stack, trajectory, v.shape[0]), shape
+        return residuals(self.stack, trajectory, v.shape[0]), prior.shape_penalty(self.slots, x, self.chemistry)
 
     def objective(self, v: Array) -> Array:
         misfit, shape = self.evaluate(v[None])
@@ -172,17 +168,16 @@ def fit_cell(
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
     start_u: Array | None = None,
     evaluations: int = 40,
-    has_bench: bool = True,
     chemistry: Chemistry = prior.LIPO,
 ) -> CellFit:
     """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots];
-    evaluations : of the residuals, at most; has_bench : False if all are flights; chemistry : of the cells.
+    evaluations : of the residuals, at most; chemistry : of the cells.
     """
     slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
     own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
-    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, has_bench, chemistry)
+    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry)
     start = np.zeros(unknowns.shared + own_mean.size)
     if start_u is not None:
         start[: unknowns.shared] = start_u

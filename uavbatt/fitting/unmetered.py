@@ -98,8 +98,8 @@ def _fit_alike(tests: list[MeanTest], effects: tuple[str, ...]) -> list[Posterio
         def residuals(u: Array, simulated: Array) -> Array:
             misfit_V = (simulated[:, 0] - test.voltage_V) / sigma_V
             misfit_K = np.nan_to_num(simulated[:, 1] - test.surface_C) / SURFACE_SD_K
-            disorder = prior.monotonicity_penalty(slots, prior.values(slots, u))
-            return np.concatenate([misfit_V, misfit_K, disorder, u], axis=1)
+            shape = prior.shape_penalty(slots, prior.values(slots, u))
+            return np.concatenate([misfit_V, misfit_K, shape, u], axis=1)
 
         return residuals
 
