@@ -26,7 +26,14 @@ def ends_at(empty_V: float) -> BatteryFile:
 
 
 def test_the_study_s_tests_leave_what_lies_between_their_end_and_an_emptied_cell() -> None:
-    assert spread_of(STUDY).empty_soc_sd == pytest.approx((3.59046 - 3.3) / 4.0)  # its curve goes on with 4 V
+    assert spread_of(STUDY).empty_soc_sd == pytest.approx((STUDY.parameters.ocv_V[0] - 3.3) / 4.0)  # it falls with 4 V
+
+
+def test_the_open_circuit_voltage_of_the_study_s_pack_has_no_steps() -> None:
+    """Nine mean readings once gave a curve that was flat, steep and flat again, which no cell has."""
+    soc, ocv_V = np.array(STUDY.parameters.ocv_soc), np.array(STUDY.parameters.ocv_V)
+    slope_V = np.diff(ocv_V) / np.diff(soc)
+    assert (slope_V[soc[:-1] >= 0.05] > 0.25).all()
 
 
 @pytest.mark.parametrize("empty_V", [2.9, 3.3])
