@@ -22,9 +22,9 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
-# Makes differ less in the fall of the OCV from knot to knot than in its level. Without this prior a fit to few rows made
-# steps, and a fit to flights, which end at a few C and do not reach the last hundredths of the charge, made the OCV flat
-# there: the time was too long for packs that were emptied deeper or more slowly than on those flights.
+# Makes differ less in the fall of the OCV from knot to knot than in its level. Without this prior a fit to few rows
+# made steps. A fit to flights, which end at a few C and do not reach the last hundredths of the charge, made the OCV
+# flat there: the time was too long for packs that were emptied deeper or more slowly than on those flights.
 FALL_SD_V = np.array([0.15, 0.08, 0.08, *[0.03] * 11])  # between neighbouring knots
 
 # Rested voltage of a cylindrical lithium-ion cell (NMC or NCA): rounded averages of measured cells (Chen et al., J.
