@@ -23,6 +23,8 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.packs.records import FlightEvidence
 
 ELECTRODE_SD_V = 0.025  # drop by slow electrodes over the life of a pack; one flight leaves room for twice that
+# Closer to the knee the error of the battery file's shape is read as ohms.
+LEAST_SOC_FOR_OHMS = 0.25
 # The evidence of flights of one pack scatters by only a part of its stated sd; the other part is the error of the
 # battery file, which is the same in all flights. For the capacity the scatter is smaller after a deep discharge: a
 # flight that lands half full extrapolates, and all of its sd is scatter.
@@ -62,14 +64,22 @@ def evidence_of_flight(
 def _under_load(pack: Pack, loaded: Sequence[Belief], ohms_per_V: float) -> Scales:
     """Return the evidence of the rows under load: the last capacity, and the resistance when it was known best.
 
-    At the knee the discrepancy is not known, and so neither is its sum with the resistance.
+    At the knee the discrepancy is not known, and so neither is its sum with the resistance. What the rows after that
+    instant say of the capacity is passed on to the resistance.
     """
     prior = _prior(pack, ohms_per_V)
     said = [_without_prior(_scales(belief, ohms_per_V), prior) for belief in loaded]
-    best = min(said, key=lambda s: float(s.covariance[0, 0]))
-    ratio = math.sqrt(said[-1].covariance[1, 1] / best.covariance[1, 1])
+    flat = [s for s, belief in zip(said, loaded, strict=True) if belief.mean[X.SOC] > LEAST_SOC_FOR_OHMS]
+    best = min(flat or said[:1], key=lambda s: float(s.covariance[0, 0]))
+    return _with_capacity(best, said[-1])
+
+
+def _with_capacity(said: Scales, last: Scales) -> Scales:
+    """Return the evidence with its capacity as it was known last, and with what that says of the resistance."""
+    slope = said.covariance[:, 1] / said.covariance[1, 1]
     return Scales(
-        np.array([best.mean[0], said[-1].mean[1]]), best.covariance * np.array([[1.0, ratio], [ratio, ratio**2]])
+        said.mean + slope * (last.mean[1] - said.mean[1]),
+        said.covariance + np.outer(slope, slope) * (last.covariance[1, 1] - said.covariance[1, 1]),
     )
 
 
