@@ -157,7 +157,7 @@ def _charge_left(file: BatteryFile) -> float:
     """Return the charge below the 0 of a file's curve, as a share of its capacity; 0 if its tests emptied the cells.
 
     A test under a large load is over while a cell still has charge: the study's ends at an open-circuit voltage of
-    3.54 V. A flight that draws less goes on.
+    3.53 V. A flight that draws less goes on.
     """
     soc, ocv_V = np.array(file.parameters.ocv_soc), np.array(file.parameters.ocv_V)
     slope_V = float(slope_below(soc, ocv_V)[0])
