@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,9 +27,9 @@ from uavbatt.errors import BadInput, UavbattError, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.dataset import DataSet
-    from uavbatt.fitting.battery import FittedBattery
+    from uavbatt.fitting.battery import FittedBattery, RecordedPack
     from uavbatt.records import Flight
 
 
@@ -61,8 +62,11 @@ def fit(
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = _known(read_battery(battery, allow_uncertified), flights, stated)
+        flights = [_sound(flight, _size_by(content, flight, stated)) for flight in flights]
     else:
-        found = _fitted((output or vehicle or Path("fitted")).name.split(".")[0], datasets, flights, stated)
+        pack = _pack((output or vehicle or Path("fitted")).name.split(".")[0], datasets, flights, stated)
+        flights = [_sound(flight, pack.pack_size) for flight in flights]
+        found = _fitted(pack, datasets, flights)
         content = found.file
         for line in _findings(found) if output is not None else []:  # they are about the battery file
             say(line)
@@ -102,10 +106,31 @@ def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> 
     return battery
 
 
-def _fitted(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> FittedBattery:
-    """Return the fit of a battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
+def _size_by(battery: BatteryFile, flight: Flight, stated: PackOptions) -> PackSize | None:
+    """Return the size of the flight's pack; None if the flight has no voltage."""
+    from uavbatt.battery.log_statements import size_from_rows
+
+    if not any(math.isfinite(s.voltage_V) for s in flight.samples):
+        return None
+    return size_from_rows(battery, stated, flight, flight.facts_at(math.inf))
+
+
+def _sound(flight: Flight, size: PackSize | None) -> Flight:
+    """Return the flight without the rows of failed sensors, and warn of what is left out."""
+    from uavbatt.fitting.failed_sensors import without_failed
+
+    if size is None:
+        return flight
+    sound, spans = without_failed(flight, size.cells, size.capacity_Ah)
+    for span in spans:
+        remark(f"warning: {flight.source}: {span.after_s:.0f} to {span.until_s:.0f} s left out: {span.reason}")
+    return sound
+
+
+def _pack(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> RecordedPack:
+    """Return the size of the pack of all records. Raises UsageError if a flight contradicts what is stated of it."""
     from uavbatt.battery.log_statements import check_whole
-    from uavbatt.fitting.battery import fit_battery, size_of
+    from uavbatt.fitting.battery import size_of
     from uavbatt.limits import Resting
 
     size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
@@ -113,8 +138,14 @@ def _fitted(name: str, datasets: list[DataSet], flights: list[Flight], stated: P
         check_whole(flight, size.pack_size, Resting())
     for notice in size.notices:
         remark(f"warning: {notice}")
+    return size
+
+
+def _fitted(pack: RecordedPack, datasets: list[DataSet], flights: list[Flight]) -> FittedBattery:
+    from uavbatt.fitting.battery import fit_battery
+
     remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
-    return fit_battery(size, datasets, flights)
+    return fit_battery(pack, datasets, flights)
 
 
 def _findings(found: FittedBattery) -> list[str]:
