@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command import called
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.cli.fit import _sound
 from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.failed_sensors import failed_spans, without_failed
@@ -19,6 +20,7 @@ from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
+SIZE = ("--cells", "4", "--capacity-ah", "5")
 GENERIC = battery_file.read_battery("lipo-generic")
 FROM_S, UNTIL_S = 300.0, 400.0
 
@@ -88,7 +90,31 @@ def test_the_load_of_an_aircraft_is_not_that_of_a_dead_sensor(samples) -> None:
     assert dead_W < 0.9 * sound_W
 
 
-def test_the_command_names_what_it_leaves_out(samples, capsys) -> None:
-    pack = RecordedPack("quad", CELLS, CAPACITY_AH, CUTOFF_V).pack_size
-    _sound(Flight("dead.csv", "csv", within(samples, current_A=0.0)), pack)
-    assert capsys.readouterr().err == f"warning: dead.csv: 300 to 400 s left out: {DEAD_CURRENT}\n"
+def written(folder: Path, name: str, samples: tuple[Sample, ...]) -> None:
+    rows = [f"{s.time_s},{s.voltage_V:.3f},{s.current_A:.2f}" for s in samples]
+    (folder / name).write_text("\n".join(["time_s,voltage_V,current_A", *rows]))
+
+
+def test_the_command_names_what_it_leaves_out(samples, tmp_path) -> None:
+    written(tmp_path, "dead.csv", within(samples, current_A=0.0))
+    call = ("fit", "dead.csv", "--battery", "lipo-generic", "--vehicle", "quad.vehicle.toml", *SIZE)
+    done = called(*call, folder=tmp_path)
+    assert done.stderr == f"warning: dead.csv: 300 to 400 s left out: {DEAD_CURRENT}\n"
+    assert (tmp_path / "quad.vehicle.toml").exists()
+
+
+def test_a_log_of_a_dead_sensor_alone_is_refused_by_name(samples, tmp_path) -> None:
+    written(tmp_path, "stuck.csv", tuple(replace(s, voltage_V=15.4) for s in samples))
+    done = called("fit", "stuck.csv", "-o", "quad.battery.toml", *SIZE, folder=tmp_path)
+    assert done.returncode == 4
+    assert str(STUCK_VOLTAGE) in done.stderr
+    assert "stuck.csv: 1 rows" in done.stderr
+    assert not (tmp_path / "quad.battery.toml").exists()
+
+
+def test_both_files_are_written_or_none(samples, tmp_path) -> None:
+    """A minute of flight makes a battery file of few words, but no vehicle file."""
+    written(tmp_path, "short.csv", samples[:80])
+    done = called("fit", "short.csv", "-o", "q.battery.toml", "--vehicle", "q.vehicle.toml", *SIZE, folder=tmp_path)
+    assert done.returncode == 4
+    assert [p.name for p in tmp_path.iterdir()] == ["short.csv"]

@@ -28,6 +28,7 @@ from uavbatt.errors import BadInput, UavbattError, UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.dataset import DataSet
     from uavbatt.fitting.battery import FittedBattery, RecordedPack
     from uavbatt.records import Flight
@@ -70,10 +71,11 @@ def fit(
         content = found.file
         for line in _findings(found) if output is not None else []:  # they are about the battery file
             say(line)
+    learned = _learned(vehicle, content, flights, stated) if vehicle is not None else None  # before anything is written
     if output is not None:
         say(f"{_written(content, output)}: fitted to {content.discrepancy.source}; not certified")
-    if vehicle is not None:
-        say(_vehicle(vehicle, content, flights, stated))
+    if vehicle is not None and learned is not None:
+        say(_vehicle(vehicle, learned, len(flights)))
 
 
 def _loaded(folder: Path) -> DataSet:
@@ -154,16 +156,23 @@ def _findings(found: FittedBattery) -> list[str]:
     return known + doubtful + [f"not determined: {line}" for line in found.unknown]
 
 
-def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:
+def _learned(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> VehicleFile:
+    """Return the vehicle file of the flights. Raises UsageError if there are none."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import fit_vehicle
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
-    learned = fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
-    vehicle_file.write_vehicle(learned, path)
+    return fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
+
+
+def _vehicle(path: Path, learned: VehicleFile, flights: int) -> str:
+    """Write the vehicle file, and return in words what it holds."""
+    from uavbatt.battery.vehicle_file import write_vehicle
+
+    write_vehicle(learned, path)
     phases = learned.phases
     return (
-        f"{path}: {len(learned.traces)} of {len(flights)} flights; mean power {phases.flight_W:.0f} W, first minute "
+        f"{path}: {len(learned.traces)} of {flights} flights; mean power {phases.flight_W:.0f} W, first minute "
         f"{phases.take_off_W:.0f} W, last minute {phases.last_minute_W:.0f} W"
     )
