@@ -117,6 +117,10 @@ def test_the_filter_after_a_landing() -> None:
     assert_same_rows(pack_4s(), [*before, *rest, *(replace(s, time_s=s.time_s + shift_s) for s in flown()[500:560])])
 
 
+def test_the_filter_through_a_voltmeter_of_coarse_steps() -> None:
+    assert_same_rows(pack_4s(), [replace(s, voltage_V=0.2 * round(s.voltage_V / 0.2)) for s in flown()[:600]])
+
+
 def test_the_filter_on_flown_flights(shared_data: Path) -> None:
     # Not the first: one generic capacity explains it so badly that the discrepancy runs to 0.4 V a cell, where the last
     # digit grows to 1e-8.

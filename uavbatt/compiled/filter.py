@@ -19,13 +19,16 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.compiled.member import predict, settle, shown_V, update
+from uavbatt.estimation import meter as voltmeter
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
+from uavbatt.estimation.meter import Meter, meter_after, meter_variance
 from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
 from uavbatt.estimation.summary import summary
 from uavbatt.records import Sample
 
 share(recursion)
+share(voltmeter)
 
 
 class Moments(NamedTuple):
@@ -45,6 +48,7 @@ class Standing(NamedTuple):
     block: Array
     air: noise.Air
     load: noise.LastLoad
+    meter: Meter
 
 
 class Filtered(NamedTuple):
@@ -78,17 +82,17 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
     ]
-    time_s, current_A, block_A, block, air, load = found.standing
+    time_s, current_A, block_A, block, air, load, meter = found.standing
     open_block = Block(*block.tolist())
-    air, load = noise.Air(*air), noise.LastLoad(*load)
-    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load)
+    air, load, meter = noise.Air(*air), noise.LastLoad(*load), Meter(*meter)
+    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load, meter)
     return rows, now
 
 
 def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Standing, Array, int]:
     """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
     belief, block = state.belief, np.array(state.block, dtype=float)
-    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.load)
+    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.load, state.meter)
     rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     moments = Moments(belief.means, belief.covariances, belief.log_weights)
     return moments, as_numbers(standing), rows, most_beliefs(rows[0], state.time_s)
@@ -122,13 +126,13 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     load = noise.load_after(at.load, c_rate(pack.installation, block[2] / dt_s), dt_s)
-    is_settling = noise.is_settling(load)
+    is_settling, meter_V2 = noise.is_settling(load), meter_variance(at.meter, pack.installation.cells, dt_s)
     for k in range(members):
         if is_settling:
             settle(pack, now.x[k], now.P[k], dt_s)
         predict(pack, now.x[k], now.P[k], block[2] / dt_s, air.ambient_C, dt_s)
         innovation_V[k], variance_V2[k], nis, volts, off_K = update(
-            pack, now.x[k], now.P[k], block[3] / block[0], mean_A, mean_C, mean_A - at.block_A
+            pack, now.x[k], now.P[k], block[3] / block[0], mean_A, mean_C, mean_A - at.block_A, meter_V2
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
         expected_V, warmer_K = expected_V + weight[k] * volts, warmer_K + weight[k] * off_K
@@ -140,7 +144,7 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.spread.temperature_sd_K, dt_s)
     soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
-    after = Standing(at.time_s, at.current_A, mean_A, block, air, load)
+    after = Standing(at.time_s, at.current_A, mean_A, block, air, load, at.meter)
     return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)
 
 
@@ -156,7 +160,8 @@ def with_row(at: Standing, time_s: float, voltage_V: float, current_A: float, te
     if np.isfinite(temp_C):
         block[5] += temp_C
         block[6] += 1.0
-    return Standing(time_s, current_A, at.block_A, block, at.air, at.load)
+    meter = meter_after(at.meter, voltage_V, dt_s)
+    return Standing(time_s, current_A, at.block_A, block, at.air, at.load, meter)
 
 
 @compiled
@@ -189,7 +194,7 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     """
     n, last = rows.shape[1], 0
     now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
-    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load)
+    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load, at.meter)
     kept = Moments(
         np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
     )
