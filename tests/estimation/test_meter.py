@@ -59,7 +59,7 @@ def judged(step_V: float, number: int) -> Judged:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 3])
 def test_a_worn_pack_is_told_in_time_through_steps_of_50_mV_a_cell(number: int) -> None:
-    """The lower end was 57 and 64 s too long, the alarm came with 7 minutes left, the NEES of the charge was 24 and 32."""
+    """The lower end was 57 and 64 s too long, the alarm 7 minutes early, the NEES 24 and 32."""
     found = judged(0.2, number)
     assert found.lo_excess_s < 15.0
     assert 60.0 < found.alarm_s < 240.0
