@@ -22,7 +22,7 @@ from uavbatt.compiled.member import predict, settle, shown_V, update
 from uavbatt.estimation import meter as voltmeter
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
-from uavbatt.estimation.meter import Meter, meter_after, meter_variance
+from uavbatt.estimation.meter import Meter, Scatter, meter_after, meter_noise, scatter_after
 from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
 from uavbatt.estimation.summary import summary
 from uavbatt.records import Sample
@@ -49,6 +49,7 @@ class Standing(NamedTuple):
     air: noise.Air
     load: noise.LastLoad
     meter: Meter
+    scatter: Scatter
 
 
 class Filtered(NamedTuple):
@@ -82,17 +83,19 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
     ]
-    time_s, current_A, block_A, block, air, load, meter = found.standing
+    time_s, current_A, block_A, block, air, load, meter, scatter = found.standing
     open_block = Block(*block.tolist())
-    air, load, meter = noise.Air(*air), noise.LastLoad(*load), Meter(*meter)
-    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load, meter)
+    air, load, meter, scatter = noise.Air(*air), noise.LastLoad(*load), Meter(*meter), Scatter(*scatter)
+    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load, meter, scatter)
     return rows, now
 
 
 def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Standing, Array, int]:
     """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
     belief, block = state.belief, np.array(state.block, dtype=float)
-    standing = Standing(state.time_s, state.current_A, state.block_A, block, state.air, state.load, state.meter)
+    standing = Standing(
+        state.time_s, state.current_A, state.block_A, block, state.air, state.load, state.meter, state.scatter
+    )
     rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     moments = Moments(belief.means, belief.covariances, belief.log_weights)
     return moments, as_numbers(standing), rows, most_beliefs(rows[0], state.time_s)
@@ -126,13 +129,14 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     load = noise.load_after(at.load, c_rate(pack.installation, block[2] / dt_s), dt_s)
-    is_settling, meter_V2 = noise.is_settling(load), meter_variance(at.meter, pack.installation.cells, dt_s)
+    is_settling = noise.is_settling(load)
+    of_meter = meter_noise(at.meter, at.scatter, dt_s, pack.installation.cells)
     for k in range(members):
         if is_settling:
             settle(pack, now.x[k], now.P[k], dt_s)
         predict(pack, now.x[k], now.P[k], block[2] / dt_s, air.ambient_C, dt_s)
         innovation_V[k], variance_V2[k], nis, volts, off_K = update(
-            pack, now.x[k], now.P[k], block[3] / block[0], mean_A, mean_C, mean_A - at.block_A, meter_V2
+            pack, now.x[k], now.P[k], block[3] / block[0], mean_A, mean_C, mean_A - at.block_A, of_meter
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
         expected_V, warmer_K = expected_V + weight[k] * volts, warmer_K + weight[k] * off_K
@@ -144,7 +148,7 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.spread.temperature_sd_K, dt_s)
     soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
-    after = Standing(at.time_s, at.current_A, mean_A, block, air, load, at.meter)
+    after = Standing(at.time_s, at.current_A, mean_A, block, air, load, at.meter, scatter_after(at.scatter, shown_V))
     return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)
 
 
@@ -161,7 +165,7 @@ def with_row(at: Standing, time_s: float, voltage_V: float, current_A: float, te
         block[5] += temp_C
         block[6] += 1.0
     meter = meter_after(at.meter, voltage_V, dt_s)
-    return Standing(time_s, current_A, at.block_A, block, at.air, at.load, meter)
+    return Standing(time_s, current_A, at.block_A, block, at.air, at.load, meter, at.scatter)
 
 
 @compiled
@@ -194,7 +198,7 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     """
     n, last = rows.shape[1], 0
     now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
-    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load, at.meter)
+    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load, at.meter, at.scatter)
     kept = Moments(
         np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
     )

@@ -19,6 +19,7 @@ from uavbatt.compiled.jit import compiled, compiled_numbers, laid_in, share
 from uavbatt.compiled.kalman import PER_NUDGES, joseph, predicted_covariance, projected
 from uavbatt.estimation import noise
 from uavbatt.estimation.kalman import NUDGE
+from uavbatt.estimation.meter import MeterNoise
 from uavbatt.estimation.recursion import FULL_SOC_SD, GATE
 
 share(noise)
@@ -99,7 +100,14 @@ def observe(pack: Pack, x: Array, current_A: float, H: Array) -> float:
 
 @compiled
 def update(
-    pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float, meter_V2: float
+    pack: Pack,
+    x: Array,
+    P: Array,
+    voltage_V: float,
+    current_A: float,
+    temp_C: float,
+    step_A: float,
+    of_meter: MeterNoise,
 ) -> tuple[float, float, float, float, float]:
     """Update mean and covariance by the means of a block, in place, as `recursion._update` does.
 
@@ -110,7 +118,7 @@ def update(
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     expected_V = observe(pack, x, current_A, H[0])
     y[0] = voltage_V - expected_V
-    R[0, 0] = noise.reading_variance(pack, x, current_A, step_A) + meter_V2
+    R[0, 0] = max(noise.reading_variance(pack, x, current_A, step_A), of_meter.least_V2) + of_meter.more_V2
     if size == 2:
         H[1, X.SENSOR] = 1.0
         y[1] = temp_C - (x[X.SENSOR] + pack.installation.offset_K)

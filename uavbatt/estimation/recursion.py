@@ -26,7 +26,7 @@ from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
 from uavbatt.estimation.kalman import Condition, Measurement, jacobian
-from uavbatt.estimation.meter import Meter, meter_after, meter_variance
+from uavbatt.estimation.meter import Meter, MeterNoise, Scatter, meter_after, meter_noise, scatter_after
 from uavbatt.estimation.summary import BeliefSummary, summary
 from uavbatt.records import Sample
 
@@ -52,6 +52,7 @@ class FilterState(NamedTuple):
     air: noise.Air
     load: noise.LastLoad = noise.LastLoad()
     meter: Meter = Meter()
+    scatter: Scatter = Scatter()
 
 
 class Innovation(NamedTuple):
@@ -189,10 +190,11 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     process_Q = noise.process_variances(pack, x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, at.ambient_C, dt_s), x, P, process_Q)
     predicted, step_A = Belief(x, P, at.log_weights, at.ambient_C), block.current_A - state.block_A
-    meter_V2 = meter_variance(state.meter, pack.installation.cells, dt_s)
-    belief, shown, air = _update(pack, predicted, state.air, block, step_A, meter_V2, condition, weighs=not is_settling)
+    of_meter = meter_noise(state.meter, state.scatter, dt_s, pack.installation.cells)
+    belief, shown, air = _update(pack, predicted, state.air, block, step_A, of_meter, condition, weighs=not is_settling)
     after = state_at(pack, belief, state.time_s, state.current_A, air)
-    return after._replace(block_A=block.current_A, load=load, meter=state.meter), shown
+    scatter = scatter_after(state.scatter, shown.innovation_V)
+    return after._replace(block_A=block.current_A, load=load, meter=state.meter, scatter=scatter), shown
 
 
 def _settled(pack: Pack, at: Belief, dt_s: float) -> tuple[Array, Array]:
@@ -211,17 +213,17 @@ def _update(
     air: noise.Air,
     block: Block,
     step_A: float,
-    meter_V2: float,
+    of_meter: MeterNoise,
     condition: Condition,
     weighs: bool,
 ) -> tuple[Belief, Innovation, noise.Air]:
     """Condition a belief on the means of a block, whose current is `step_A` [A] more than the last one's.
 
-    meter_V2 : variance [V²] of the mean voltage by the steps of its meter.
+    of_meter : noise of the mean voltage by what its meter has shown so far.
     weighs : the block tells which member is right.
     Returns the belief, the block against the model, and the air by the block's temperature, if it has one.
     """
-    measurement, expected_V = _measurement(pack, at.means, block, step_A, meter_V2)
+    measurement, expected_V = _measurement(pack, at.means, block, step_A, of_meter)
     innovation, observation, noise_R = measurement
     spread = observation @ at.covariances @ np.swapaxes(observation, 1, 2) + noise_R
     nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
@@ -240,10 +242,12 @@ def _update(
     return after, shown, air
 
 
-def _measurement(pack: Pack, means: Array, block: Block, step_A: float, meter_V2: float) -> tuple[Measurement, Array]:
+def _measurement(
+    pack: Pack, means: Array, block: Block, step_A: float, of_meter: MeterNoise
+) -> tuple[Measurement, Array]:
     """Return the means of a block (voltage, and temperature if it has one) as a measurement, and the voltage expected.
 
-    means : of the members [members, 9]; step_A and meter_V2 as in `_update`. The expected voltage [V] is that of each
+    means : of the members [members, 9]; step_A and of_meter as in `_update`. The expected voltage [V] is that of each
     member.
     """
     measured = np.array([block.voltage_V, block.temp_C])[: 2 if math.isfinite(block.temp_C) else 1]
@@ -254,7 +258,8 @@ def _measurement(pack: Pack, means: Array, block: Block, step_A: float, meter_V2
 
     observation, expected = jacobian(readings, means)
     variances = np.empty((len(means), 2))
-    variances[:, 0] = noise.reading_variance(pack, means.T, block.current_A, step_A) + meter_V2
+    expected_V2 = noise.reading_variance(pack, means.T, block.current_A, step_A)
+    variances[:, 0] = np.maximum(expected_V2, of_meter.least_V2) + of_meter.more_V2
     variances[:, 1] = pack.spread.temperature_sd_K**2
     noise_R = variances[:, : measured.size, None] * np.eye(measured.size)
     return Measurement(measured - expected, observation, noise_R), expected[:, 0]
