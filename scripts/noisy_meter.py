@@ -12,15 +12,12 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from dataclasses import replace
 from itertools import product
 from multiprocessing import Pool
 
 import numpy as np
-from scoring import wrong_cases, wrong_judged
-from scoring.wrong_judged import Judged
-
-from uavbatt.log_replay.run import steps
+from scoring import wrong_cases
+from scoring.wrong_judged import Judged, judged_through
 
 EACH, EVERY_NTH, SEED = 6, 3, 5
 STEPS_V, NOISE_V = (0.1, 0.2, 0.5), (0.0, 0.05, 0.1, 0.3)
@@ -30,13 +27,13 @@ CASES = [c for c in wrong_cases.sampled(EACH) if "reads" not in c.capacity_class
 
 def judged(number: int, step_V: float, noise_V: float) -> Judged:
     """Return one flight in figures, whose voltmeter has these steps (0: none) and this noise."""
-    case, dice = CASES[number], np.random.default_rng(SEED)
-    flown = case.flown()
-    volts = [s.voltage_V + noise_V * float(dice.standard_normal()) for s in flown.rows]
-    volts = [round(v / step_V) * step_V for v in volts] if step_V else volts
-    rows = tuple(replace(s, voltage_V=v) for s, v in zip(flown.rows, volts, strict=True))
-    flight = replace(flown.flight(case.name), samples=rows)
-    return wrong_judged.judge(case, flown, list(steps(flight, wrong_judged.estimator(case))))
+    dice = np.random.default_rng(SEED)
+
+    def misread(true_V: float) -> float:
+        shown_V = true_V + noise_V * float(dice.standard_normal())
+        return round(shown_V / step_V) * step_V if step_V else shown_V
+
+    return judged_through(CASES[number], misread)
 
 
 def line(words: str, found: list[Judged]) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -82,6 +82,13 @@ def replayed(case: Case) -> tuple[Flown, list[ReplayedRow]]:
 def judged(case: Case) -> Judged:
     """Return a flight, flown and in figures."""
     return judge(case, *replayed(case))
+
+
+def judged_through(case: Case, misread: Callable[[float], float]) -> Judged:
+    """Return a flight in figures, whose voltmeter shows `misread(volts)`; the end is that of the true voltage."""
+    flown = case.flown()
+    shown = replace(flown, rows=tuple(replace(s, voltage_V=misread(s.voltage_V)) for s in flown.rows))
+    return judge(case, flown, list(steps(shown.flight(case.name), estimator(case))))
 
 
 def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:

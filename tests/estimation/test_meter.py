@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from scoring import wrong_cases, wrong_judged
-from scoring.wrong_judged import Judged
+from scoring import wrong_cases
+from scoring.wrong_judged import Judged, judged_through
 
 from uavbatt.estimation.meter import (
     CHANCE_CELL_V,
@@ -19,7 +18,6 @@ from uavbatt.estimation.meter import (
     meter_noise,
     scatter_after,
 )
-from uavbatt.log_replay.run import steps
 
 CELLS, BLOCK_S = 4.0, 2.0
 GENERIC_LONG_S, FITTED_LONG_S = 25.0, 15.0  # of the lower end, as asked of a sound sensor
@@ -83,10 +81,7 @@ def test_an_innovation_that_stays_is_no_scatter() -> None:
 def judged(name: str, misread: Callable[[float], float]) -> Judged:
     """A flight of `wrong_cases` through another voltmeter."""
     case = next(c for c in wrong_cases.sampled(6) if c.name == name)
-    flown = case.flown()
-    rows = tuple(replace(s, voltage_V=misread(s.voltage_V)) for s in flown.rows)
-    flight = replace(flown.flight(case.name), samples=rows)
-    return wrong_judged.judge(case, flown, list(steps(flight, wrong_judged.estimator(case))))
+    return judged_through(case, misread)
 
 
 @pytest.mark.slow
