@@ -240,7 +240,7 @@ class Estimator:
             state = state._replace(swap=swap)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known, self.remembered = self._known.anew(), self.remembered_next
-                state = self._fresh_state()
+                state = self._fresh_state()._replace(monitor=Monitor(two=state.monitor.two))
                 rows[k:] = state.filter.run(clean[k:], filter_window)
             yield self._forecast_for(state, sample, rows[k], navigation)
 

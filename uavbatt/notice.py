@@ -34,6 +34,8 @@ class Kind(Enum):
     STUCK_CURRENT = auto()
     DEAD_CURRENT = auto()
     FELL_ALONE = auto()
+    TWO_BATTERIES = auto()
+    COARSE = auto()
     UNFITTING = auto()
     FAR_OFF = auto()
     SMALL_PACK = auto()

@@ -140,3 +140,42 @@ def test_a_full_throttle_is_no_fall_of_the_voltage_alone(ohms: float) -> None:
         rows.append(replace(sample, voltage_V=volts, current_A=before_A, consumed_Ah=math.nan))
         before_A = amps
     assert not doubted(said_after(rows, 0.0), Kind.FELL_ALONE)
+
+
+def with_another(rows: list[Sample], begin_s: float, volts: float, amps: float) -> list[Sample]:
+    """From then on every second row comes from another battery under the same id, read to 10 mV."""
+    other = [replace(s, voltage_V=volts, current_A=amps, consumed_Ah=math.nan) for s in rows]
+    mixed = zip(rows, other, strict=True)
+    return [b if k % 2 and a.time_s > begin_s else replace(a, consumed_Ah=math.nan) for k, (a, b) in enumerate(mixed)]
+
+
+@pytest.mark.parametrize("rate_Hz", [1.0, 4.0])
+@pytest.mark.parametrize(("volts", "amps"), [(16.3, 0.0), (15.4, 0.3), (13.5, 0.3), (12.1, 20.0)])
+def test_two_batteries_under_one_id_have_no_number(volts: float, amps: float, rate_Hz: float) -> None:
+    """The filter saw 2,591 s at least where 120 s were left. The other's voltage may be that of the pack in flight."""
+    sound = flight(rate_Hz, seed=9)
+    begin_s = sound[-1].time_s - 300.0
+    said = said_after(with_another(sound, begin_s, volts, amps), begin_s + 25.0)
+    assert {e.status for e, _ in said} == {Status.REFUSED}
+    assert {kind_of(e.reason) for e, _ in said} - {Kind.NO_VOLTAGE} == {Kind.TWO_BATTERIES}  # a leap is not used
+    assert not any(math.isfinite(r.remaining_s) for _, r in said)
+
+
+def test_a_load_in_pulses_is_one_battery() -> None:
+    """A motor that is on and off for five seconds in turn, and a voltage whose last digit goes back and forth."""
+    sound, rows = flight(1.0, seed=10), []
+    for sample in sound:
+        is_off = sample.time_s > 60.0 and sample.time_s % 10.0 < 5.0
+        amps = 0.3 if is_off else sample.current_A
+        volts = sample.voltage_V + 0.02 * (sample.current_A - amps)
+        rows.append(replace(sample, current_A=amps, voltage_V=round(volts / 0.1) * 0.1, consumed_Ah=math.nan))
+    assert not doubted(said_after(rows, 0.0), Kind.TWO_BATTERIES)
+
+
+@pytest.mark.parametrize(("step_V", "is_told"), [(0.2, False), (0.5, True)])
+def test_a_voltmeter_too_coarse_to_see_the_end_has_no_number(step_V: float, is_told: bool) -> None:
+    """With steps of 0.5 V the 5 % point was up to 87 s too long: the knee lies within one step."""
+    rows = [replace(s, voltage_V=round(s.voltage_V / step_V) * step_V) for s in flight(1.0, seed=11)]
+    told = [e for e, _ in said_after(rows, 0.0) if kind_of(e.reason) is Kind.COARSE]
+    assert bool(told) is is_told
+    assert all(e.status is Status.REFUSED for e in told)

@@ -12,7 +12,7 @@ from command import called
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE
+from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.failed_sensors import failed_spans, without_failed
 from uavbatt.fitting.vehicle import trace
@@ -65,6 +65,15 @@ def test_a_current_that_stands_still_is_left_out(samples) -> None:
     assert spans_of(within(samples, current_A=held_A)) == [(FROM_S, UNTIL_S, STUCK_CURRENT)]
 
 
+def test_the_rows_of_two_batteries_are_left_out(samples) -> None:
+    """A payload's battery under the same id, in every second row."""
+    other = within(samples, voltage_V=11.8, current_A=0.4)
+    mixed = tuple(b if k % 2 else a for k, (a, b) in enumerate(zip(samples, other, strict=True)))
+    ((after_s, until_s, reason),) = spans_of(mixed)
+    assert reason == TWO_BATTERIES
+    assert FROM_S - 30.0 <= after_s <= FROM_S and until_s >= UNTIL_S
+
+
 def test_a_fit_without_the_rows_of_a_dead_sensor_is_that_of_a_sound_flight(samples) -> None:
     """With them the pack of a LiPo was taken for one of lithium-ion cells, 0.6 V lower when empty."""
     dead = Flight("dead.csv", "csv", within(samples, current_A=0.0))
@@ -108,7 +117,7 @@ def test_a_log_of_a_dead_sensor_alone_is_refused_by_name(samples, tmp_path) -> N
     done = called("fit", "stuck.csv", "-o", "quad.battery.toml", *SIZE, folder=tmp_path)
     assert done.returncode == 4
     assert str(STUCK_VOLTAGE) in done.stderr
-    assert "stuck.csv: 1 rows" in done.stderr
+    assert "stuck.csv: 1 row with voltage and current" in done.stderr
     assert not (tmp_path / "quad.battery.toml").exists()
 
 

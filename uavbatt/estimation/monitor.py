@@ -28,6 +28,7 @@ from uavbatt.estimation.sensors import (
     LoadWatch,
     SensorChanges,
 )
+from uavbatt.estimation.two_batteries import TwoBatteries
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
@@ -47,6 +48,10 @@ STUCK_CURRENT = Notice(
 )
 DEAD_CURRENT = Notice("the current fell and the voltage did not rise: a failed current sensor?", Kind.DEAD_CURRENT)
 FELL_ALONE = Notice("the voltage fell at once and the load did not rise: a wire, or a cell?", Kind.FELL_ALONE)
+TWO_BATTERIES = Notice(
+    "the readings go back and forth between two levels: two batteries under one id?", Kind.TWO_BATTERIES
+)
+COARSE = Notice("the voltage is read in steps of 0.1 V a cell or more: too coarse to see the end", Kind.COARSE)
 UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
 FAR_OFF = Notice(
     "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
@@ -112,6 +117,7 @@ class Monitor(NamedTuple):
     readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
     fall: FallWatch = FallWatch()
+    two: TwoBatteries = TwoBatteries()
     innovations: Innovations = Innovations()
     pack: PackVerdict = PackVerdict()
     doubts: tuple[str, ...] = ()
@@ -126,6 +132,7 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         fall = self.fall.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        two = self.two.after(time_s, volts, amps, cells, capacity_Ah)
         innovations, verdict = self.innovations, self.pack
         if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
             innovations = innovations.after(time_s, estimate.nis)
@@ -133,6 +140,7 @@ class Monitor(NamedTuple):
         voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
         current_s = readings.stuck_current_s(capacity_Ah)
         doubted = {
+            TWO_BATTERIES: two.are_likely(time_s),
             STUCK_VOLTAGE: voltage_s >= STUCK_S,
             STUCK_CURRENT: current_s >= STUCK_S,
             DEAD_CURRENT: time_s - load.gone_since_s >= DOUBTED_S,
@@ -140,13 +148,15 @@ class Monitor(NamedTuple):
             UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
         }
         refused = {
+            TWO_BATTERIES: two.are_likely(time_s),
+            COARSE: readings.is_coarse(cells),
             STUCK_VOLTAGE: voltage_s >= REFUSED_STUCK_S,
             STUCK_CURRENT: current_s >= REFUSED_STUCK_S,
             DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
         }
         doubts = (*compress(doubted, doubted.values()), *verdict.doubts)
         refusal = next(compress(refused, refused.values()), verdict.refusal)
-        return Monitor(readings, load, fall, innovations, verdict, doubts, refusal)
+        return Monitor(readings, load, fall, two, innovations, verdict, doubts, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

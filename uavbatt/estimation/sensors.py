@@ -10,6 +10,8 @@ STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
 # although it must have fallen by three of its own smallest steps and by 10 mV.
 LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
 COARSEST_STEP_V = 0.1  # assumed for a voltmeter that has not shown its smallest step yet
+# A voltmeter of such steps, seen so often, shows the knee of an emptying pack too late.
+COARSE_CELL_V, COARSE_CHANGES = 0.1, 8
 # If the voltage of a cell has gone down and up by this much several times, the current must have changed.
 TURN_CELL_V, TURNS = 0.012, 6
 # A current is stuck if it should have changed this many times since its last change. The expected number follows from
@@ -30,7 +32,7 @@ class LastChange(NamedTuple):
     """LastChange follows one reading since its last change.
 
     value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
-    so far; habit : the share of rows in which it changed.
+    so far; habit : the share of rows in which it changed; changes : how often it changed.
     """
 
     value: float = math.nan
@@ -38,6 +40,7 @@ class LastChange(NamedTuple):
     step: float = math.inf
     rows: int = 0
     habit: float = 0.0
+    changes: int = 0
 
     def after(self, time_s: float, value: float) -> LastChange:
         """Return the same with one more reading."""
@@ -46,7 +49,7 @@ class LastChange(NamedTuple):
         change = abs(value - self.value)
         step = min(self.step, change) if math.isfinite(change) else self.step
         habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
-        return LastChange(value, time_s, step, 0, habit)
+        return LastChange(value, time_s, step, 0, habit, self.changes + 1)
 
     def age_s(self, time_s: float) -> float:
         """Return the time since its last change [s]; 0 before the first reading."""
@@ -76,6 +79,10 @@ class SensorChanges(NamedTuple):
         elif abs(step_V) > TURN_CELL_V * cells:
             turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
         return SensorChanges(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
+
+    def is_coarse(self, cells: float) -> bool:
+        """Return True if the voltage is read in steps that are too large to see the end of a flight."""
+        return self.voltage.changes >= COARSE_CHANGES and self.voltage.step >= COARSE_CELL_V * cells
 
     def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
         """Return how long the voltage is constant although the charge drawn must have moved it [s]; 0 if sound."""

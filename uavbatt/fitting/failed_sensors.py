@@ -10,8 +10,9 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE
+from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES
 from uavbatt.estimation.sensors import DEAD_S, REFUSED_STUCK_S, STILL_C_RATE, LoadWatch, SensorChanges
+from uavbatt.estimation.two_batteries import TwoBatteries
 from uavbatt.fitting.prior import RESISTANCE_OHMAH
 from uavbatt.records import Flight, Sample
 
@@ -41,11 +42,11 @@ def without_failed(flight: Flight, cells: int, capacity_Ah: float) -> tuple[Flig
 
 
 def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) -> tuple[FailedSpan, ...]:
-    """Return the spans in which the voltage or the current stood still, or the current was gone, in order of time.
+    """Return the spans, in order of time, in which a reading stood still, the current was gone, or two batteries sent.
 
     A span within another one is not named again.
     """
-    changes, load = SensorChanges(), LoadWatch()
+    changes, load, two = SensorChanges(), LoadWatch(), TwoBatteries()
     found: dict[tuple[float, str], FailedSpan] = {}
     for row in samples:
         if not (math.isfinite(row.voltage_V) and math.isfinite(row.current_A)) or row.time_s < changes.time_s:
@@ -53,11 +54,13 @@ def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) ->
         changes = changes.after(row.time_s, row.voltage_V, row.current_A, cells)
         risen_V = load.voltage_V + cells * LEAST_OHMAH * (load.current_A - row.current_A) / capacity_Ah
         load = load.after(row.time_s, row.voltage_V, row.current_A, risen_V, cells, capacity_Ah)
+        two = two.after(row.time_s, row.voltage_V, row.current_A, cells, capacity_Ah)
         is_idle = row.current_A < STILL_C_RATE * capacity_Ah
         for after_s, is_failing, reason in (
             (changes.voltage.since_s, changes.stuck_voltage_s(cells, capacity_Ah) >= REFUSED_STUCK_S, STUCK_VOLTAGE),
             (changes.current.since_s, changes.stuck_current_s(capacity_Ah) >= REFUSED_STUCK_S, STUCK_CURRENT),
             (load.time_s, is_idle and row.time_s - load.gone_since_s >= DEAD_S, DEAD_CURRENT),
+            (two.since_s, two.are_likely(row.time_s), TWO_BATTERIES),
         ):
             if is_failing:
                 found[after_s, reason] = FailedSpan(after_s, row.time_s, reason)

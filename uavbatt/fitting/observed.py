@@ -127,7 +127,7 @@ def from_flight(
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
-        reason = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
+        reason = f"{len(rows)} row{'s' * (len(rows) != 1)} with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {reason}")
     cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
     temp_C = []

@@ -67,6 +67,8 @@ WARNINGS: dict[Kind, str] = {
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current fell, voltage did not rise",
     Kind.FELL_ALONE: "voltage fell alone: a wire or a cell?",
+    Kind.TWO_BATTERIES: "two batteries under one id?",
+    Kind.COARSE: "voltage is read too coarsely",
 }
 
 CRITICAL = (Kind.TURN_BACK, Kind.ENDS_SOON, Kind.MAY_END_SOON)
@@ -103,6 +105,8 @@ REASONS: dict[Kind, str] = {
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current does not fit",
     Kind.FELL_ALONE: "voltage does not fit",
+    Kind.TWO_BATTERIES: "two under one id",
+    Kind.COARSE: "voltage is too coarse",
     Kind.FAR_OFF: "voltage does not fit",
     Kind.UNFITTING: "voltage does not fit",
     Kind.NO_END: "charge and load differ",

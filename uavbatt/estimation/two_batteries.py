@@ -1,0 +1,73 @@
+"""Two batteries that report as one: the readings go back and forth between two levels.
+
+Another battery under the same id (a payload's, a second pack with its own monitor) has another voltage or another
+current. No filter finds the pack that flies in their mixture, and it was up to 45 minutes too long. A reading that
+comes back to a level, but not to the same digit, is counted: a coarse sensor also goes back and forth, from one digit
+to the next. Over 259 logs of flights the count reached 2.9; two batteries reach 5 to 10 within 10 to 18 s. They also
+look like a pack that is changed again and again: what is counted here outlives a change of the pack.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+RETURNS, RETURNS_TAU_S = 4.0, 15.0
+LONGEST_COUNT_S = 30.0  # in which two batteries reach that count
+APART_CELL_V, APART_C_RATE = 0.04, 1.0  # levels that are closer do no harm
+DOUBTED_S = 120.0  # after the last such reading: the levels may cross, and the belief has followed both
+NEAR_SHARE = 0.2  # of the distance of the levels: a reading so near to one belongs to it
+
+
+class TwoLevels(NamedTuple):
+    """TwoLevels follows one reading that may come from two batteries.
+
+    here, there : the last reading of the level of the last row, and of the other level; returns : how often the reading
+    came back to the other level, over about RETURNS_TAU_S.
+    """
+
+    time_s: float = math.nan
+    here: float = math.nan
+    there: float = math.nan
+    returns: float = 0.0
+
+    def after(self, time_s: float, value: float, least_apart: float) -> TwoLevels:
+        """Return the same after one more row; levels closer than `least_apart` are one."""
+        if not math.isfinite(self.here):
+            return TwoLevels(time_s, value)
+        apart, leap, off = abs(self.there - self.here), abs(value - self.here), abs(value - self.there)
+        returns = self.returns * math.exp(-(time_s - self.time_s) / RETURNS_TAU_S)
+        if leap < (NEAR_SHARE * apart if math.isfinite(apart) else least_apart):
+            return TwoLevels(time_s, value, self.there, returns)
+        if off < NEAR_SHARE * apart and apart > least_apart:
+            return TwoLevels(time_s, value, self.here, returns + (off > 0.0))
+        return (
+            TwoLevels(time_s, value, self.there, returns) if leap < least_apart else TwoLevels(time_s, value, self.here)
+        )
+
+
+class TwoBatteries(NamedTuple):
+    """TwoBatteries follows voltage and current of what reports as one battery.
+
+    since_s, seen_s : times of the first (not later than) and of the last row that show two [s], NaN if there is none.
+    """
+
+    voltage: TwoLevels = TwoLevels()
+    current: TwoLevels = TwoLevels()
+    since_s: float = math.nan
+    seen_s: float = math.nan
+
+    def after(
+        self, time_s: float, voltage_V: float, current_A: float, cells: float, capacity_Ah: float
+    ) -> TwoBatteries:
+        """Return the same after one more row of a pack with so many cells and so much capacity [Ah]."""
+        voltage = self.voltage.after(time_s, voltage_V, APART_CELL_V * cells)
+        current = self.current.after(time_s, current_A, APART_C_RATE * capacity_Ah)
+        if max(voltage.returns, current.returns) <= RETURNS:
+            return TwoBatteries(voltage, current, self.since_s, self.seen_s)
+        since_s = self.since_s if self.are_likely(time_s) else time_s - LONGEST_COUNT_S
+        return TwoBatteries(voltage, current, since_s, time_s)
+
+    def are_likely(self, time_s: float) -> bool:
+        """Return True if the readings of the last minutes came from two batteries."""
+        return time_s - self.seen_s <= DOUBTED_S
