@@ -121,7 +121,7 @@ def test_the_ground_between_two_flights_of_a_log_is_not_flight() -> None:
 def test_too_short_to_learn_from() -> None:
     short = Flight("hop", "csv", flight().samples[:100])
     assert trace(short, battery_file.read_battery("lipo-generic"), OPTIONS) is None
-    with pytest.raises(NotEnoughData, match="quad: none of 1 logs holds 120 s") as caught:
+    with pytest.raises(NotEnoughData, match="quad: 1 log, none of which holds 120 s") as caught:
         fit_vehicle("quad", [short], battery_file.read_battery("lipo-generic"), OPTIONS)
     assert caught.value.exit_code == 4
     both = fit_vehicle("quad", [short, flight()], battery_file.read_battery("lipo-generic"), OPTIONS)
@@ -131,7 +131,7 @@ def test_too_short_to_learn_from() -> None:
 def test_a_pack_that_nothing_was_drawn_from_did_not_fly() -> None:
     idle = Flight("bench", "csv", tuple(Sample(float(t), 16.0, 0.0, armed=True) for t in range(300)))
     assert trace(idle, battery_file.read_battery("lipo-generic"), OPTIONS) is None
-    with pytest.raises(NotEnoughData, match="none of 1 logs"):
+    with pytest.raises(NotEnoughData, match="1 log, none of which"):
         fit_vehicle("quad", [idle], battery_file.read_battery("lipo-generic"), OPTIONS)
 
 

@@ -24,6 +24,7 @@ from uavbatt.cli.options import (
     stated_pack,
 )
 from uavbatt.errors import BadInput, UavbattError, UsageError
+from uavbatt.output import counted
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -146,7 +147,7 @@ def _pack(name: str, datasets: list[DataSet], flights: list[Flight], stated: Pac
 def _fitted(pack: RecordedPack, datasets: list[DataSet], flights: list[Flight]) -> FittedBattery:
     from uavbatt.fitting.battery import fit_battery
 
-    remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
+    remark(f"fitting {counted(len(datasets), 'data set')} and {counted(len(flights), 'flight')} ...")
     return fit_battery(pack, datasets, flights)
 
 
@@ -171,8 +172,8 @@ def _vehicle(path: Path, learned: VehicleFile, flights: int) -> str:
     from uavbatt.battery.vehicle_file import write_vehicle
 
     write_vehicle(learned, path)
-    phases = learned.phases
+    phases, used = learned.phases, f"{len(learned.traces)} of {counted(flights, 'flight')}"
     return (
-        f"{path}: {len(learned.traces)} of {flights} flights; mean power {phases.flight_W:.0f} W, first minute "
+        f"{path}: {used}; mean power {phases.flight_W:.0f} W, first minute "
         f"{phases.take_off_W:.0f} W, last minute {phases.last_minute_W:.0f} W"
     )

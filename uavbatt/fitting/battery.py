@@ -22,6 +22,7 @@ from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry
 from uavbatt.fitting.solve import CellFit, OwnPrior
 from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
+from uavbatt.output import counted
 from uavbatt.records import Flight, PackFacts
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
@@ -104,7 +105,7 @@ def _file(
             capacity_Ah=size.capacity_Ah,
             cutoff_V=size.cutoff_V,
             low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
-            source=f"fitted to {records.bench} bench tests and {records.flights} flights",
+            source=f"fitted to {counted(records.bench, 'bench test')} and {counted(records.flights, 'flight')}",
             remarks=remarks,
         ),
         parameters=assemble.parameter_table(
@@ -127,7 +128,7 @@ def _discrepancy(records: FittedRecords, fit: CellFit, cells: int) -> Discrepanc
 
     How it changes in time is learned from the flights, or from all records if there are less than two flights.
     """
-    stack, source = records.stack, f"{records.bench} bench tests, {records.flights} flights"
+    stack, source = records.stack, f"{counted(records.bench, 'bench test')}, {counted(records.flights, 'flight')}"
     trajectory = solve.replay_fit(stack, fit)
     left = assemble.discrepancy(stack, trajectory, cells, held_out=False, source=source)
     typical = range(records.bench if records.flights > 1 else 0, len(stack.names))

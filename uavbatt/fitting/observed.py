@@ -18,6 +18,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import LONGEST_STEP_S, Array
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
+from uavbatt.output import counted
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.cleaning.cleaner import Cleaner
 from uavbatt.telemetry.cleaning.readings import BOARD_START_C
@@ -127,7 +128,7 @@ def from_flight(
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
-        reason = f"{len(rows)} row{'s' * (len(rows) != 1)} with voltage and current: expected at least {LEAST_ROWS}"
+        reason = f"{counted(len(rows), 'row')} with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {reason}")
     cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
     temp_C = []

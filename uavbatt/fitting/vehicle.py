@@ -14,8 +14,10 @@ from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.sizing import PackOptions, capacity_since_s
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
+from uavbatt.estimation.sensors import STILL_C_RATE
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.powers import SHORTEST_S, powers
+from uavbatt.output import counted
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Flight
 
@@ -29,7 +31,8 @@ def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options:
     """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is."""
     traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
     if not traces:
-        raise NotEnoughData(f"{name}: none of {len(flights)} logs holds {SHORTEST_S:.0f} s of flight with a current")
+        logs = counted(len(flights), "log")
+        raise NotEnoughData(f"{name}: {logs}, none of which holds {SHORTEST_S:.0f} s of flight with a current")
     watts = [np.array(t.power_W) for t in traces]
     return VehicleFile(
         name=name,
@@ -40,7 +43,7 @@ def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options:
             last_minute_W=_rounded(np.mean([w[-int(60 / GRID_S) :].mean() for w in watts])),
         ),
         traces=traces,
-        source=f"{len(traces)} flights",
+        source=counted(len(traces), "flight"),
         powers=powers(flights, installation_of(battery, 1, 1.0)),
         speeds=speeds(flights),
     )
@@ -70,7 +73,7 @@ def _may_be(name: str, value: float) -> bool:
 
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
-    """Return one flight on a grid of GRID_S from take-off; None when it is too short or drew no current."""
+    """Return one flight on a grid of GRID_S from take-off; None when it is too short or the pack was at rest."""
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows, ground_s, before_s = [], 0.0, math.inf
@@ -82,12 +85,14 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
             ground_s += max(estimate.time_s - before_s, 0.0)
         elif math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
             power_W = float(true_power(sensors, estimate.voltage_V, estimate.current_A))
-            rows.append((estimate.time_s - ground_s, max(power_W, 0.0), estimate.soc))
+            rows.append((estimate.time_s - ground_s, max(power_W, 0.0), estimate.soc, estimate.current_A))
         before_s = estimate.time_s
-    table = np.array(rows)
-    if len(table) < LEAST_ROWS or not table[:, 1].any():
+    size, table = estimator.pack_size, np.array(rows)
+    if size is None or len(table) < LEAST_ROWS:
         return None
-    time_s, watts, soc = table.T
+    time_s, watts, soc, current_A = table.T
+    if np.percentile(current_A, 90) < STILL_C_RATE * size.capacity_Ah:
+        return None
     first, last = _airborne(watts)
     if time_s[last] - time_s[first] < SHORTEST_S:
         return None
