@@ -34,6 +34,7 @@ class Kind(Enum):
     STUCK_CURRENT = auto()
     DEAD_CURRENT = auto()
     FELL_ALONE = auto()
+    ROSE_ALONE = auto()
     TWO_BATTERIES = auto()
     COARSE = auto()
     UNFITTING = auto()

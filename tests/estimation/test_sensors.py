@@ -179,3 +179,28 @@ def test_a_voltmeter_too_coarse_to_see_the_end_has_no_number(step_V: float, is_t
     told = [e for e, _ in said_after(rows, 0.0) if kind_of(e.reason) is Kind.COARSE]
     assert bool(told) is is_told
     assert all(e.status is Status.REFUSED for e in told)
+
+
+@pytest.mark.parametrize("rate_Hz", [1.0, 4.0])
+@pytest.mark.parametrize("gain", [1.02, 1.04])
+def test_a_voltage_that_rises_alone_has_no_number(gain: float, rate_Hz: float) -> None:
+    """A voltmeter that reads 4 % more from then on made the 5 % point up to 119 s too long."""
+    sound = flight(rate_Hz, seed=12)
+    begin_s = sound[-1].time_s - 300.0
+    rows = [replace(s, voltage_V=s.voltage_V * (gain if s.time_s > begin_s else 1.0)) for s in sound]
+    said = said_after(rows, begin_s)
+    assert doubted(said, Kind.ROSE_ALONE)[0] <= begin_s + 5.0
+    assert {e.status for e, _ in said if e.time_s > begin_s + 13.0} == {Status.REFUSED}
+
+
+@pytest.mark.parametrize("late_s", [0.0, 5.0])
+def test_a_load_that_eases_is_no_voltage_that_rises_alone(late_s: float) -> None:
+    """A climb ends; a current that is read every few seconds follows late."""
+    sound, rows = flight(1.0, seed=13), []
+    for sample in sound:
+        climbs_for_s = sample.time_s % 60.0
+        true_A = sample.current_A * (1.6 if climbs_for_s < 20.0 else 1.0)
+        read_A = sample.current_A * (1.6 if late_s <= climbs_for_s < 20.0 + late_s else 1.0)
+        volts = sample.voltage_V + 0.02 * (sample.current_A - true_A)
+        rows.append(replace(sample, voltage_V=volts, current_A=read_A, consumed_Ah=math.nan))
+    assert Status.REFUSED not in {e.status for e, _ in said_after(rows, 60.0) if kind_of(e.reason) is Kind.ROSE_ALONE}

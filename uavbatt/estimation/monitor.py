@@ -23,9 +23,12 @@ from uavbatt.estimation.sensors import (
     DEAD_S,
     DOUBTED_S,
     REFUSED_STUCK_S,
+    ROSE_LATE_S,
+    ROSE_S,
     STUCK_S,
     FallWatch,
     LoadWatch,
+    RiseWatch,
     SensorChanges,
 )
 from uavbatt.estimation.two_batteries import TwoBatteries
@@ -48,6 +51,7 @@ STUCK_CURRENT = Notice(
 )
 DEAD_CURRENT = Notice("the current fell and the voltage did not rise: a failed current sensor?", Kind.DEAD_CURRENT)
 FELL_ALONE = Notice("the voltage fell at once and the load did not rise: a wire, or a cell?", Kind.FELL_ALONE)
+ROSE_ALONE = Notice("the voltage rose at once and the load did not fall: a voltmeter that moved?", Kind.ROSE_ALONE)
 TWO_BATTERIES = Notice(
     "the readings go back and forth between two levels: two batteries under one id?", Kind.TWO_BATTERIES
 )
@@ -117,6 +121,7 @@ class Monitor(NamedTuple):
     readings: SensorChanges = SensorChanges()
     load: LoadWatch = LoadWatch()
     fall: FallWatch = FallWatch()
+    rise: RiseWatch = RiseWatch()
     two: TwoBatteries = TwoBatteries()
     innovations: Innovations = Innovations()
     pack: PackVerdict = PackVerdict()
@@ -132,6 +137,7 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         fall = self.fall.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        rise = self.rise.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         two = self.two.after(time_s, volts, amps, cells, capacity_Ah)
         innovations, verdict = self.innovations, self.pack
         if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
@@ -144,6 +150,7 @@ class Monitor(NamedTuple):
             STUCK_VOLTAGE: voltage_s >= STUCK_S,
             STUCK_CURRENT: current_s >= STUCK_S,
             DEAD_CURRENT: time_s - load.gone_since_s >= DOUBTED_S,
+            ROSE_ALONE: time_s - rise.risen_since_s >= ROSE_S,
             FELL_ALONE: time_s - fall.fallen_since_s >= ALONE_S,
             UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
         }
@@ -153,10 +160,11 @@ class Monitor(NamedTuple):
             STUCK_VOLTAGE: voltage_s >= REFUSED_STUCK_S,
             STUCK_CURRENT: current_s >= REFUSED_STUCK_S,
             DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
+            ROSE_ALONE: time_s - rise.risen_since_s > ROSE_LATE_S,
         }
         doubts = (*compress(doubted, doubted.values()), *verdict.doubts)
         refusal = next(compress(refused, refused.values()), verdict.refusal)
-        return Monitor(readings, load, fall, two, innovations, verdict, doubts, refusal)
+        return Monitor(readings, load, fall, rise, two, innovations, verdict, doubts, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

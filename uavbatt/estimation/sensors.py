@@ -26,6 +26,9 @@ DOUBTED_S, DEAD_S = 0.5, 3.0
 # A cell that falls by ALONE_CELL_V within seconds, while the current does not rise by ALONE_C_RATE, is no discharge: a
 # cold, worn cell needs a larger rise, too. A current that is reported late rises within FELL_TAU_S.
 ALONE_CELL_V, ALONE_C_RATE, ALONE_S, FELL_TAU_S, RETURNED_SHARE = 0.4, 1.0, 1.0, 3.0, 0.5
+# A cell does not rise by ROSE_CELL_V for ROSE_S while the current stays: over 259 logs of flights none rose by 0.03 V.
+# A current that is reported late falls within ROSE_LATE_S.
+ROSE_CELL_V, ROSE_S, ROSE_LATE_S, ROSE_TAU_S, ROSE_LOADED_S, STAYED_SHARE = 0.045, 3.0, 10.0, 5.0, 30.0, 0.8
 
 
 class LastChange(NamedTuple):
@@ -164,4 +167,43 @@ class FallWatch(NamedTuple):
         keep = math.exp(-max(time_s - self.time_s, 0.0) / FELL_TAU_S)
         return FallWatch(
             time_s, voltage_V + keep * (self.voltage_V - voltage_V), current_A + keep * (self.current_A - current_A)
+        )
+
+
+class RiseWatch(NamedTuple):
+    """RiseWatch notices a voltage that rises at once under a load that stays: its meter has moved, not the pack.
+
+    voltage_V, above_V and current_A are means over the last seconds of sound rows: the voltage, how far it was above
+    the model's, and the current. What has risen for ROSE_S remains so for this pack, unless the current follows.
+    """
+
+    time_s: float = math.nan
+    voltage_V: float = math.nan
+    above_V: float = math.nan
+    current_A: float = math.nan
+    loaded_s: float = 0.0
+    risen_since_s: float = math.nan  # NaN while the voltage fits the load
+
+    def after(
+        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
+    ) -> RiseWatch:
+        """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        above_V, passed_s, risen_s = voltage_V - predicted_V, time_s - self.time_s, time_s - self.risen_since_s
+        if risen_s > ROSE_LATE_S:
+            return self
+        rise_V = min(voltage_V - self.voltage_V, above_V - self.above_V)
+        is_loaded = current_A > LOADED_C_RATE * capacity_Ah
+        stays = is_loaded and current_A > STAYED_SHARE * self.current_A
+        least_V = ROSE_CELL_V * cells * (RETURNED_SHARE if math.isfinite(risen_s) else 1.0)
+        if stays and (risen_s >= ROSE_S or (rise_V > least_V and self.loaded_s > ROSE_LOADED_S)):
+            return self if math.isfinite(risen_s) else self._replace(risen_since_s=time_s)
+        if not passed_s < ROSE_S:
+            return RiseWatch(time_s, voltage_V, above_V, current_A)
+        keep, loaded_s = math.exp(-max(passed_s, 0.0) / ROSE_TAU_S), self.loaded_s + passed_s if is_loaded else 0.0
+        return RiseWatch(
+            time_s,
+            voltage_V + keep * (self.voltage_V - voltage_V),
+            above_V + keep * (self.above_V - above_V),
+            current_A + keep * (self.current_A - current_A),
+            loaded_s,
         )

@@ -67,6 +67,7 @@ WARNINGS: dict[Kind, str] = {
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current fell, voltage did not rise",
     Kind.FELL_ALONE: "voltage fell alone: a wire or a cell?",
+    Kind.ROSE_ALONE: "voltage rose alone: a voltmeter?",
     Kind.TWO_BATTERIES: "two batteries under one id?",
     Kind.COARSE: "voltage is read too coarsely",
 }
@@ -105,6 +106,7 @@ REASONS: dict[Kind, str] = {
     Kind.STUCK_CURRENT: "current is stuck",
     Kind.DEAD_CURRENT: "current does not fit",
     Kind.FELL_ALONE: "voltage does not fit",
+    Kind.ROSE_ALONE: "voltage does not fit",
     Kind.TWO_BATTERIES: "two under one id",
     Kind.COARSE: "voltage is too coarse",
     Kind.FAR_OFF: "voltage does not fit",
