@@ -161,11 +161,12 @@ def test_two_batteries_under_one_id_have_no_number(volts: float, amps: float, ra
     assert not any(math.isfinite(r.remaining_s) for _, r in said)
 
 
-def test_a_load_in_pulses_is_one_battery() -> None:
-    """A motor that is on and off for five seconds in turn, and a voltage whose last digit goes back and forth."""
+@pytest.mark.parametrize("off_s", [2.0, 3.0, 5.0])
+def test_a_load_in_pulses_is_one_battery(off_s: float) -> None:
+    """A motor that is on and off by turns, and a voltage whose last digit goes back and forth."""
     sound, rows = flight(1.0, seed=10), []
     for sample in sound:
-        is_off = sample.time_s > 60.0 and sample.time_s % 10.0 < 5.0
+        is_off = sample.time_s > 60.0 and sample.time_s % (2.0 * off_s) < off_s
         amps = 0.3 if is_off else sample.current_A
         volts = sample.voltage_V + 0.02 * (sample.current_A - amps)
         rows.append(replace(sample, current_A=amps, voltage_V=round(volts / 0.1) * 0.1, consumed_Ah=math.nan))
