@@ -240,7 +240,7 @@ class Estimator:
             state = state._replace(swap=swap)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known, self.remembered = self._known.anew(), self.remembered_next
-                state = self._fresh_state()._replace(monitor=Monitor(two=state.monitor.two))
+                state = self._fresh_state()._replace(monitor=state.monitor.of_next_pack())
                 rows[k:] = state.filter.run(clean[k:], filter_window)
             yield self._forecast_for(state, sample, rows[k], navigation)
 
@@ -295,5 +295,5 @@ class Estimator:
         if is_metered and self.remembered is not None:
             changed = unlike(pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found
-        doubted = dict.fromkeys((*size.notices, *(doubt.words for doubt in self._known.doubts)))
-        return (*found, *doubted, *self._cleaner.notices)
+        doubted = [doubt.words for doubt in self._known.doubts] if self._known.doubts else []
+        return (*found, *dict.fromkeys((*size.notices, *doubted)), *self._cleaner.notices)

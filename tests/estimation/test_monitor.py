@@ -17,7 +17,7 @@ BELIEF = Belief.gaussian(np.zeros(SIZE), 1e-4 * np.eye(SIZE), 20.0)
 
 def seen(monitor: Monitor, capacity: float, sd: float, ohms: float = 1.0) -> Monitor:
     """The monitor after a row at which a pack is believed in: capacity and ohms against what is stated."""
-    time_s = 0.0 if np.isnan(monitor.readings.time_s) else monitor.readings.time_s + 1.0
+    time_s = 0.0 if np.isnan(monitor.sensors.changes.time_s) else monitor.sensors.changes.time_s + 1.0
     sample = Sample(time_s, 15.0 - 0.01 * time_s, 20.0 + time_s)
     estimate = Estimate(
         time_s, 0.5, 0.05, 15.0, 20.0, NAN, 300.0, 0.0, 1.0, Status.OK, "",

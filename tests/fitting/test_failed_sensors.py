@@ -12,7 +12,7 @@ from command import called
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.estimation.monitor import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES
+from uavbatt.estimation.sensor_faults import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.failed_sensors import failed_spans, without_failed
 from uavbatt.fitting.vehicle import trace

@@ -17,7 +17,7 @@ from uavbatt.battery import statements
 from uavbatt.battery.battery_file import read_battery
 from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.estimation import filter as soc_filter
-from uavbatt.estimation import monitor
+from uavbatt.estimation import monitor, sensor_faults
 from uavbatt.estimation.filter import NO_CURRENT, known_only_to
 from uavbatt.limits import Doubt, FirstVoltages, Resting, cells_doubt, ending_doubt
 from uavbatt.live import announced
@@ -124,6 +124,7 @@ def doubted(doubt: Doubt | None) -> Notice:
 
 REFUSALS = [
     *notices_of(monitor),
+    *notices_of(sensor_faults),
     *notices_of(soc_filter),
     *notices_of(forecaster),
     voltage_bound.NO_END,

@@ -18,20 +18,8 @@ import numpy as np
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation.sensors import (
-    ALONE_S,
-    DEAD_S,
-    DOUBTED_S,
-    REFUSED_STUCK_S,
-    ROSE_LATE_S,
-    ROSE_S,
-    STUCK_S,
-    FallWatch,
-    LoadWatch,
-    RiseWatch,
-    SensorChanges,
-)
-from uavbatt.estimation.two_batteries import TwoBatteries
+from uavbatt.estimation.sensor_faults import SensorFaults
+from uavbatt.estimation.sensor_row import SensorRow
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import Estimate, Sample, Status
 
@@ -45,17 +33,6 @@ SURE_SDS = 1.5
 FAR_MORE_OHMS = 3.5  # times the resistance of a new pack of the stated size: packs in use reach three
 SETTLED_SHARE = 0.2  # largest sd of the capacity, relative: beyond, the time left is known to a factor of two
 
-STUCK_VOLTAGE = Notice("the voltage has not moved under load for half a minute: a stuck sensor?", Kind.STUCK_VOLTAGE)
-STUCK_CURRENT = Notice(
-    "the current has not moved for half a minute, as it does in flight: a stuck sensor?", Kind.STUCK_CURRENT
-)
-DEAD_CURRENT = Notice("the current fell and the voltage did not rise: a failed current sensor?", Kind.DEAD_CURRENT)
-FELL_ALONE = Notice("the voltage fell at once and the load did not rise: a wire, or a cell?", Kind.FELL_ALONE)
-ROSE_ALONE = Notice("the voltage rose at once and the load did not fall: a voltmeter that moved?", Kind.ROSE_ALONE)
-TWO_BATTERIES = Notice(
-    "the readings go back and forth between two levels: two batteries under one id?", Kind.TWO_BATTERIES
-)
-COARSE = Notice("the voltage is read in steps of 0.1 V a cell or more: too coarse to see the end", Kind.COARSE)
 UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
 FAR_OFF = Notice(
     "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
@@ -118,11 +95,7 @@ class PackVerdict(NamedTuple):
 class Monitor(NamedTuple):
     """Monitor holds the readings seen so far, and the doubts and refusal that follow from them and from the belief."""
 
-    readings: SensorChanges = SensorChanges()
-    load: LoadWatch = LoadWatch()
-    fall: FallWatch = FallWatch()
-    rise: RiseWatch = RiseWatch()
-    two: TwoBatteries = TwoBatteries()
+    sensors: SensorFaults = SensorFaults()
     innovations: Innovations = Innovations()
     pack: PackVerdict = PackVerdict()
     doubts: tuple[str, ...] = ()
@@ -131,40 +104,21 @@ class Monitor(NamedTuple):
     def after(self, sample: Sample, estimate: Estimate, belief: Belief | None, pack: Pack) -> Monitor:
         """Return the monitor after one more row, its estimate and the belief that it led to."""
         time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
-        if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.readings.time_s:
+        if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.sensors.changes.time_s:
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        readings = self.readings.after(time_s, volts, amps, cells)
-        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
-        fall = self.fall.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
-        rise = self.rise.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
-        two = self.two.after(time_s, volts, amps, cells, capacity_Ah)
-        innovations, verdict = self.innovations, self.pack
+        row = SensorRow(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        sensors, innovations, verdict = self.sensors.after(row), self.innovations, self.pack
         if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
             innovations = innovations.after(time_s, estimate.nis)
             verdict = verdict.after(estimate, belief, pack)
-        voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
-        current_s = readings.stuck_current_s(capacity_Ah)
-        doubted = {
-            TWO_BATTERIES: two.are_likely(time_s),
-            STUCK_VOLTAGE: voltage_s >= STUCK_S,
-            STUCK_CURRENT: current_s >= STUCK_S,
-            DEAD_CURRENT: time_s - load.gone_since_s >= DOUBTED_S,
-            ROSE_ALONE: time_s - rise.risen_since_s >= ROSE_S,
-            FELL_ALONE: time_s - fall.fallen_since_s >= ALONE_S,
-            UNFITTING: time_s - innovations.high_since_s >= NIS_AFTER_S,
-        }
-        refused = {
-            TWO_BATTERIES: two.are_likely(time_s),
-            COARSE: readings.is_coarse(cells),
-            STUCK_VOLTAGE: voltage_s >= REFUSED_STUCK_S,
-            STUCK_CURRENT: current_s >= REFUSED_STUCK_S,
-            DEAD_CURRENT: time_s - load.gone_since_s >= DEAD_S,
-            ROSE_ALONE: time_s - rise.risen_since_s > ROSE_LATE_S,
-        }
-        doubts = (*compress(doubted, doubted.values()), *verdict.doubts)
-        refusal = next(compress(refused, refused.values()), verdict.refusal)
-        return Monitor(readings, load, fall, rise, two, innovations, verdict, doubts, refusal)
+        unfitting = (UNFITTING,) if time_s - innovations.high_since_s >= NIS_AFTER_S else ()
+        doubts = (*sensors.doubts, *unfitting, *verdict.doubts)
+        return Monitor(sensors, innovations, verdict, doubts, next(iter(sensors.refusals), verdict.refusal))
+
+    def of_next_pack(self) -> Monitor:
+        """Return the monitor of the pack that follows."""
+        return Monitor(self.sensors.of_next_pack())
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

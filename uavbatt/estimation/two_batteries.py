@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from uavbatt.estimation.sensor_row import SensorRow
+
 RETURNS, RETURNS_TAU_S = 4.0, 15.0
 LONGEST_COUNT_S = 30.0  # in which two batteries reach that count
 APART_CELL_V, APART_C_RATE = 0.04, 1.0  # levels that are closer do no harm
@@ -47,11 +49,6 @@ class TwoLevels(NamedTuple):
             return TwoLevels(time_s, value, self.there, returns, switches)
         return TwoLevels(time_s, value, self.here)
 
-    @property
-    def are_two(self) -> bool:
-        """Return True if the readings come from two batteries."""
-        return self.returns > RETURNS and self.switches > SWITCHES
-
 
 class TwoBatteries(NamedTuple):
     """TwoBatteries follows voltage and current of what reports as one battery.
@@ -64,16 +61,16 @@ class TwoBatteries(NamedTuple):
     since_s: float = math.nan
     seen_s: float = math.nan
 
-    def after(
-        self, time_s: float, voltage_V: float, current_A: float, cells: float, capacity_Ah: float
-    ) -> TwoBatteries:
-        """Return the same after one more row of a pack with so many cells and so much capacity [Ah]."""
-        voltage = self.voltage.after(time_s, voltage_V, APART_CELL_V * cells)
-        current = self.current.after(time_s, current_A, APART_C_RATE * capacity_Ah)
-        if not (voltage.are_two or current.are_two):
-            return TwoBatteries(voltage, current, self.since_s, self.seen_s)
-        since_s = self.since_s if self.are_likely(time_s) else time_s - LONGEST_COUNT_S
-        return TwoBatteries(voltage, current, since_s, time_s)
+    def after(self, row: SensorRow) -> TwoBatteries:
+        """Return the same after one more row."""
+        time_s = row.time_s
+        voltage = self.voltage.after(time_s, row.voltage_V, APART_CELL_V * row.cells)
+        current = self.current.after(time_s, row.current_A, APART_C_RATE * row.capacity_Ah)
+        for levels in (voltage, current):
+            if levels.returns > RETURNS and levels.switches > SWITCHES:
+                since_s = self.since_s if self.are_likely(time_s) else time_s - LONGEST_COUNT_S
+                return TwoBatteries(voltage, current, since_s, time_s)
+        return TwoBatteries(voltage, current, self.since_s, self.seen_s)
 
     def are_likely(self, time_s: float) -> bool:
         """Return True if the readings of the last minutes came from two batteries."""

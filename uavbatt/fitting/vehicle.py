@@ -14,7 +14,7 @@ from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.sizing import PackOptions, capacity_since_s
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
-from uavbatt.estimation.sensors import STILL_C_RATE
+from uavbatt.estimation.still_sensors import STILL_C_RATE
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.powers import SHORTEST_S, powers
 from uavbatt.output import counted

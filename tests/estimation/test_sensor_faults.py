@@ -10,7 +10,9 @@ import pytest
 from factories import generic_estimator, generic_pack
 
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.estimation.sensors import DEAD_S, STUCK_S, SensorChanges
+from uavbatt.estimation.sensor_row import SensorRow
+from uavbatt.estimation.still_sensors import STUCK_S, SensorChanges
+from uavbatt.estimation.voltage_and_load import DEAD_S
 from uavbatt.notice import Kind, kind_of
 from uavbatt.records import Estimate, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
@@ -22,7 +24,7 @@ def after(current_A: list[float], row_s: float = 1.0) -> SensorChanges:
     """The readings of a voltage that falls steadily, beside these currents."""
     readings = SensorChanges()
     for k, amps in enumerate(current_A):
-        readings = readings.after(k * row_s, 15.0 - 0.002 * k, amps, CELLS)
+        readings = readings.after(SensorRow(k * row_s, 15.0 - 0.002 * k, amps, math.nan, CELLS, CAPACITY_AH))
     return readings
 
 
