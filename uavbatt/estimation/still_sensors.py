@@ -13,7 +13,7 @@ STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
 LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
 COARSEST_STEP_V = 0.1  # assumed for a voltmeter that has not shown its smallest step yet
 # A voltmeter of such steps, seen so often, shows the knee of an emptying pack too late.
-COARSE_CELL_V, COARSE_CHANGES = 0.1, 8
+COARSE_CELL_V, COARSE_CHANGES = 0.1, 5
 # If the voltage of a cell has gone down and up by this much several times, the current must have changed.
 TURN_CELL_V, TURNS = 0.012, 6
 # A current is stuck if it should have changed this many times since its last change. The expected number follows from

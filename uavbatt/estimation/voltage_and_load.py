@@ -19,7 +19,7 @@ ALONE_CELL_V, ALONE_C_RATE, ALONE_S, FELL_TAU_S, RETURNED_SHARE = 0.4, 1.0, 1.0,
 # A current that is reported late falls within ROSE_LATE_S.
 # The rise must be larger than ROSE_SCATTERS times the usual distance of a row from the mean, for a noisy voltmeter.
 ROSE_CELL_V, ROSE_S, ROSE_LATE_S, ROSE_TAU_S, ROSE_LOADED_S, STAYED_SHARE = 0.045, 3.0, 10.0, 5.0, 30.0, 0.8
-ROSE_SCATTERS, SCATTER_TAU_S = 3.0, 30.0
+ROSE_SCATTERS, SCATTER_TAU_S = 5.0, 30.0
 
 
 class Recent(NamedTuple):
