@@ -128,8 +128,10 @@ def test_too_short_to_learn_from() -> None:
     assert len(both.traces) == 1
 
 
-def test_a_pack_that_nothing_was_drawn_from_did_not_fly() -> None:
-    idle = Flight("bench", "csv", tuple(Sample(float(t), 16.0, 0.0, armed=True) for t in range(300)))
+@pytest.mark.parametrize("amps", [0.0, 0.2])
+def test_a_pack_at_rest_did_not_fly(amps: float) -> None:
+    """A log of a bench became an aircraft of 3 W."""
+    idle = Flight("bench", "csv", tuple(Sample(float(t), 16.0, amps, armed=True) for t in range(300)))
     assert trace(idle, battery_file.read_battery("lipo-generic"), OPTIONS) is None
     with pytest.raises(NotEnoughData, match="1 log, none of which"):
         fit_vehicle("quad", [idle], battery_file.read_battery("lipo-generic"), OPTIONS)

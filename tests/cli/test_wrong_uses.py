@@ -26,6 +26,7 @@ BATTERY = """name = "a"\nchemistry = "LiPo"\ncells_series = 4\ncapacity_Ah = 5.0
 load = "x"\nsource = "y"\n"""
 TAKE_OFF_S, ROWS = 5, 90
 STATED = ("--capacity-ah", "5")
+FIVE_CELLS = ("--cells", "5", "--capacity-ah", "1.3")
 
 
 def rows(
@@ -138,6 +139,11 @@ REFUSED: dict[str, Use] = {
         ("plan", "--cells", "4", *STATED, "--power-w", "99999"), 2, ("99999 W on 4S 5 Ah", "1351 C", "60 C")
     ),
     "1e308 W": Use(("plan", "--cells", "4", *STATED, "--power-w", "1e308"), 2, ("1e+308 W on 4S 5 Ah", "60 C")),
+    "cells of a vehicle that its log contradicts": Use(
+        ("fit", "f.csv", "--battery", "lipo-generic", "--vehicle", "x.vehicle.toml", *FIVE_CELLS),
+        2,
+        ("f.csv: 5 cells in series at 3.2 V a cell at rest", "another count"),
+    ),
     "a battery file with the name of a vehicle file": Use(
         ("fit", "two", "-o", "x.vehicle.toml"), 2, ("-o x.vehicle.toml", "expected NAME.battery.toml")
     ),

@@ -110,12 +110,18 @@ def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> 
 
 
 def _size_by(battery: BatteryFile, flight: Flight, stated: PackOptions) -> PackSize | None:
-    """Return the size of the flight's pack; None if the flight has no voltage."""
-    from uavbatt.battery.log_statements import size_from_rows
+    """Return the size of the flight's pack; None if the flight has no voltage.
+
+    Raises UsageError if a row of the flight contradicts the size for certain.
+    """
+    from uavbatt.battery.log_statements import check_whole, size_from_rows
+    from uavbatt.battery.sizing import resting
 
     if not any(math.isfinite(s.voltage_V) for s in flight.samples):
         return None
-    return size_from_rows(battery, stated, flight, flight.facts_at(math.inf))
+    size = size_from_rows(battery, stated, flight, flight.facts_at(math.inf))
+    check_whole(flight, size, resting(battery))
+    return size
 
 
 def _sound(flight: Flight, size: PackSize | None) -> Flight:
