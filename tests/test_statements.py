@@ -305,6 +305,16 @@ def test_time_in_milliseconds_at_fifty_rows_a_second_draws_more_than_there_is() 
     assert is_refused(rows[-1]) and "were drawn, and the cells are far from empty" in rows[-1][1].reason
 
 
+@pytest.mark.parametrize("swapped", [2, 5])
+def test_rows_out_of_order_draw_no_more_than_rows_in_order(swapped: int) -> None:
+    """The time between two rows was counted again after a late one: 1.5 times the true charge."""
+    sound, rows = flown(), list[Sample]()
+    for k in range(0, len(sound), swapped):
+        rows += reversed(sound[k : k + swapped])
+    found = after(replace(STATED, capacity_Ah=1.0), samples=rows)  # 1.2 Ah are drawn, and 1.5 Ah would be refused
+    assert not any("were drawn" in estimate.reason for estimate, _ in found)
+
+
 def test_a_temperature_in_kelvin_is_said_and_not_used() -> None:
     rows = after(samples=[replace(s, temp_C=s.temp_C + 273.15) for s in flown()])
     assert "in kelvin: not used" in said(rows) and rows[-1][1].status is Status.OK

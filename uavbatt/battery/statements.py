@@ -100,6 +100,8 @@ class Current(NamedTuple):
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
         """Return the summary after a row of this voltage [V] and current [A]; rested_V [V] is that before the load."""
         gap_s, rate = time_s - self.time_s, current_A / pack.capacity_Ah
+        if gap_s < 0.0:  # a row that comes late: the time after it was counted already
+            return self
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
         drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
         calm_V = NAN if gap_s >= LONGEST_ROW_S else self.calm_V
