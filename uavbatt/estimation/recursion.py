@@ -64,6 +64,14 @@ class Innovation(NamedTuple):
     soc: float
 
 
+class Reading(NamedTuple):
+    """Reading holds a closed block, by how much its current has grown since the last one [A], and its meter's noise."""
+
+    block: Block
+    step_A: float
+    of_meter: MeterNoise
+
+
 class FilteredRow(NamedTuple):
     """FilteredRow holds the belief after one row, its summary, and the row against the model.
 
@@ -190,8 +198,8 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     process_Q = noise.process_variances(pack, x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, at.ambient_C, dt_s), x, P, process_Q)
     predicted, step_A = Belief(x, P, at.log_weights, at.ambient_C), block.current_A - state.block_A
-    of_meter = meter_noise(state.meter, state.scatter, dt_s, pack.installation.cells)
-    belief, shown, air = _update(pack, predicted, state.air, block, step_A, of_meter, condition, weighs=not is_settling)
+    reading = Reading(block, step_A, meter_noise(state.meter, state.scatter, dt_s, pack.installation.cells))
+    belief, shown, air = _update(pack, predicted, state.air, reading, condition, weighs=not is_settling)
     after = state_at(pack, belief, state.time_s, state.current_A, air)
     scatter = scatter_after(state.scatter, shown.innovation_V)
     return after._replace(block_A=block.current_A, load=load, meter=state.meter, scatter=scatter), shown
@@ -208,22 +216,15 @@ def _settled(pack: Pack, at: Belief, dt_s: float) -> tuple[Array, Array]:
 
 
 def _update(
-    pack: Pack,
-    at: Belief,
-    air: noise.Air,
-    block: Block,
-    step_A: float,
-    of_meter: MeterNoise,
-    condition: Condition,
-    weighs: bool,
+    pack: Pack, at: Belief, air: noise.Air, reading: Reading, condition: Condition, weighs: bool
 ) -> tuple[Belief, Innovation, noise.Air]:
-    """Condition a belief on the means of a block, whose current is `step_A` [A] more than the last one's.
+    """Condition a belief on the means of a block.
 
-    of_meter : noise of the mean voltage by what its meter has shown so far.
     weighs : the block tells which member is right.
     Returns the belief, the block against the model, and the air by the block's temperature, if it has one.
     """
-    measurement, expected_V = _measurement(pack, at.means, block, step_A, of_meter)
+    block = reading.block
+    measurement, expected_V = _measurement(pack, at.means, reading)
     innovation, observation, noise_R = measurement
     spread = observation @ at.covariances @ np.swapaxes(observation, 1, 2) + noise_R
     nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
@@ -242,14 +243,12 @@ def _update(
     return after, shown, air
 
 
-def _measurement(
-    pack: Pack, means: Array, block: Block, step_A: float, of_meter: MeterNoise
-) -> tuple[Measurement, Array]:
+def _measurement(pack: Pack, means: Array, reading: Reading) -> tuple[Measurement, Array]:
     """Return the means of a block (voltage, and temperature if it has one) as a measurement, and the voltage expected.
 
-    means : of the members [members, 9]; step_A and of_meter as in `_update`. The expected voltage [V] is that of each
-    member.
+    means : of the members [members, 9]. The expected voltage [V] is that of each member.
     """
+    block, step_A, of_meter = reading
     measured = np.array([block.voltage_V, block.temp_C])[: 2 if math.isfinite(block.temp_C) else 1]
 
     def readings(x: Array) -> Array:
