@@ -57,6 +57,32 @@ def as_flight(samples: tuple[Sample, ...]) -> Flight:
     return Flight("simulated", "csv", samples)
 
 
+# --- one law for every size --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("cells", "capacity_Ah"), [(12, 5.0), (2, 0.5), (4, 30.0)])
+def test_a_pack_of_another_size_under_the_same_load_a_cell_is_said_to_last_as_long(
+    cells: int, capacity_Ah: float
+) -> None:
+    """No threshold is in volts of a pack or in amperes: the flight in volts a cell and in C is the same."""
+    more_V, more_A = cells / 4, capacity_Ah / 5.0
+    scaled = [
+        replace(s, voltage_V=more_V * s.voltage_V, current_A=more_A * s.current_A, consumed_Ah=more_A * s.consumed_Ah)
+        for s in flown()
+    ]
+    size = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=3.3 * cells)
+    runs = (
+        [(e.soc, e.soc_sd, e.temp_C, r.remaining_s, r.remaining_lo_s, e.status, e.warnings) for e, r in run]
+        for run in (
+            Estimator(GENERIC, STATED, EVERY_20_S).run(flown()),
+            Estimator(GENERIC, size, EVERY_20_S).run(scaled),
+        )
+    )
+    for said, said_of_scaled in zip(*runs, strict=True):
+        assert said_of_scaled[:5] == pytest.approx(said[:5], rel=1e-6, nan_ok=True)
+        assert said_of_scaled[5:] == said[5:]
+
+
 # --- prefix invariance -------------------------------------------------------------------------------------------
 
 
