@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavbatt.cli.missions import mission_from_home, stated_wind
 from uavbatt.errors import UsageError
-from uavbatt.output import clock
+from uavbatt.output import clock, rounded
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
@@ -163,8 +163,8 @@ def _as_json(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: s
         "certificate_status": plan.resolved.status,
         "content_sha256": content_sha256,
         **plan.resolved.numbers(),
-        "wind_north_ms": plan.planned.wind.north_ms,
-        "wind_east_ms": plan.planned.wind.east_ms,
+        "wind_north_ms": rounded(plan.planned.wind.north_ms, 6),
+        "wind_east_ms": rounded(plan.planned.wind.east_ms, 6),
         "start_soc": plan.start_soc,
         "reserve_soc": reserve_soc,
         "warnings": list(plan.warnings),
