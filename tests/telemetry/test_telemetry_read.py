@@ -104,6 +104,9 @@ def test_an_impossible_temperature_or_jump_is_unknown() -> None:
     assert plausible_temperature_C(26.0, 25.0, 0.1) == 26.0
     assert math.isnan(plausible_temperature_C(35.0, 25.0, 1.0))
     assert plausible_temperature_C(35.0, 25.0, 60.0) == 35.0
+    # A thermometer that failed in flight: after 44 s a pack of 19 °C was believed at -25 °C, and 161 s too long.
+    assert math.isnan(plausible_temperature_C(-25.0, 19.0, 600.0))
+    assert plausible_temperature_C(5.0, 30.0, 300.0) == 5.0  # another pack, out of the cold, after five minutes
 
 
 def flown(rows: int = 300, step_s: float = 1.0, **constant: float) -> list[Sample]:

@@ -18,7 +18,7 @@ ALONE_CELL_V, ALONE_C_RATE, ALONE_S, FELL_TAU_S, RETURNED_SHARE = 0.4, 1.0, 1.0,
 # A cell does not rise by ROSE_CELL_V for ROSE_S while the current stays: over 259 logs of flights none rose by 0.03 V.
 # A current that is reported late falls within ROSE_LATE_S.
 # The rise must be larger than ROSE_SCATTERS times the usual distance of a row from the mean, for a noisy voltmeter.
-ROSE_CELL_V, ROSE_S, ROSE_LATE_S, ROSE_TAU_S, ROSE_LOADED_S, STAYED_SHARE = 0.045, 3.0, 10.0, 5.0, 30.0, 0.8
+ROSE_CELL_V, ROSE_S, ROSE_LATE_S, ROSE_TAU_S, ROSE_LOADED_S, STAYED_SHARE = 0.045, 3.0, 10.0, 15.0, 30.0, 0.8
 ROSE_SCATTERS, SCATTER_TAU_S = 5.0, 30.0
 
 
@@ -116,6 +116,8 @@ class RiseWatch(NamedTuple):
             return self if math.isfinite(risen_s) else self._replace(risen_since_s=row.time_s)
         if not passed_s < ROSE_S:  # rows that are far apart tell no sudden rise
             return RiseWatch(Recent().after(row, ROSE_TAU_S))
+        if off_V < -least_V:  # a row far below the others must not make those after it look risen
+            return self._replace(risen_since_s=math.nan)
         scatter_V = self.scatter_V + (abs(off_V) - self.scatter_V) * min(max(passed_s, 0.0) / SCATTER_TAU_S, 1.0)
         loaded_s = self.loaded_s + passed_s if is_loaded else 0.0
         return RiseWatch(recent.after(row, ROSE_TAU_S), scatter_V, loaded_s)

@@ -24,7 +24,8 @@ LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell; outside, the monito
 CELL_SPREAD_TAU_S = 30.0
 MIN_CELL_C, MAX_CELL_C = -40.0, 85.0
 # A cell in a flying pack has a thermal time constant of minutes: a reading that moves faster is a chip's, or noise.
-MAX_SLOPE_K_PER_S = 1.0
+# What has leapt further than LEAP_K is a sensor that failed: to wait a minute makes it no better.
+MAX_SLOPE_K_PER_S, LEAP_K, SLOW_SLOPE_K_PER_S = 1.0, 10.0, 0.05
 SLACK_K = 1.0  # sensors with 1 K resolution step by 1 K
 BOARD_START_C = 40.0  # 42 to 54 °C were seen in a flight controller whose sensor is on its circuit board
 
@@ -100,7 +101,8 @@ def plausible_temperature_C(temp_C: float, previous_C: float = NAN, elapsed_s: f
     """
     if not MIN_CELL_C <= temp_C <= MAX_CELL_C or temp_C == 0.0:
         return NAN
-    if abs(temp_C - previous_C) > SLACK_K + MAX_SLOPE_K_PER_S * max(elapsed_s, 0.0):
+    passed_s = max(elapsed_s, 0.0)
+    if abs(temp_C - previous_C) > SLACK_K + min(MAX_SLOPE_K_PER_S * passed_s, LEAP_K + SLOW_SLOPE_K_PER_S * passed_s):
         return NAN
     return temp_C
 
