@@ -84,9 +84,7 @@ def main() -> None:
     calls = list(product(FAULTS, range(each)))
     with Pool() as pool:
         answers = pool.starmap(told, calls, chunksize=1)
-    print(
-        "| fault | flights | 5 % point too long by at most | by over 15 s | without a number | sensor named |"
-    )
+    print("| fault | flights | 5 % point too long by at most | by over 15 s | without a number | sensor named |")
     print("|---|---:|---:|---:|---:|---:|")
     for name in FAULTS:
         print(line(name, [one for (of, _), one in zip(calls, answers, strict=True) if of == name]))
