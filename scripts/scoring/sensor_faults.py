@@ -168,14 +168,16 @@ def with_fault(rows: tuple[Sample, ...], fault: Fault, seed: int) -> tuple[tuple
     """
     dice = np.random.default_rng(seed)
     begins = int(dice.integers(FIRST_ROW, max(len(rows) - LAST_ROWS, FIRST_ROW + 1)))
-    columns = [np.array([getattr(s, name) for s in rows]) for name in ("time_s", "voltage_V", "current_A", "temp_C")]
-    of = Readings(*columns, begins, dice)
+    time_s, volts, amps, temp_C = (
+        np.array([getattr(s, name) for s in rows]) for name in ("time_s", "voltage_V", "current_A", "temp_C")
+    )
+    of = Readings(time_s, volts, amps, temp_C, begins, dice)
     fault(of)
     found = [
         replace(
             row, time_s=float(t), voltage_V=float(volts), current_A=float(amps), temp_C=float(temp), consumed_Ah=NAN
         )
         for row, t, volts, amps, temp in zip(rows, of.time_s, of.voltage_V, of.current_A, of.temp_C, strict=True)
-        if np.isfinite(volts)
+        if np.isfinite(v)
     ]
     return tuple(found), rows[begins].time_s
