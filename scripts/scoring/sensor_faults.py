@@ -173,11 +173,10 @@ def with_fault(rows: tuple[Sample, ...], fault: Fault, seed: int) -> tuple[tuple
     )
     of = Readings(time_s, volts, amps, temp_C, begins, dice)
     fault(of)
+    columns = (of.time_s, of.voltage_V, of.current_A, of.temp_C)
     found = [
-        replace(
-            row, time_s=float(t), voltage_V=float(volts), current_A=float(amps), temp_C=float(temp), consumed_Ah=NAN
-        )
-        for row, t, volts, amps, temp in zip(rows, of.time_s, of.voltage_V, of.current_A, of.temp_C, strict=True)
+        replace(row, time_s=float(t), voltage_V=float(v), current_A=float(i), temp_C=float(c), consumed_Ah=NAN)
+        for row, t, v, i, c in zip(rows, *columns, strict=True)
         if np.isfinite(v)
     ]
     return tuple(found), rows[begins].time_s
