@@ -21,7 +21,7 @@ import numpy as np
 from scoring import wrong_cases
 from scoring.lines import ours
 from scoring.sensor_faults import FAULTS, with_fault
-from scoring.wrong_judged import LAST_S, estimator
+from scoring.wrong_judged import estimator, late_excess_s, worst_s
 
 from uavbatt.estimation import sensor_faults
 from uavbatt.log_replay.run import steps
@@ -49,13 +49,10 @@ def told(name: str, number: int) -> Told:
     flown = case.flown()
     rows, begins_s = with_fault(flown.rows, FAULTS[name], seed=number)
     run = list(steps(Flight(case.name, "csv", rows), estimator(case)))
-    lines, end_s = ours(run), flown.end_s
-    lo_s = np.full(lines.time_s.size, np.nan) if lines.lo_s is None else lines.lo_s
-    late = (lines.time_s > end_s - LAST_S) & (lines.time_s <= end_s)
-    excess_s = (lo_s - (end_s - lines.time_s))[late]
+    excess_s = late_excess_s(ours(run), flown.end_s)
     words = [w for row in run if row.estimate.time_s >= begins_s for w in row.estimate.warnings]
     return Told(
-        excess_s=float(np.nanmax(excess_s)) if np.isfinite(excess_s).any() else float("nan"),
+        excess_s=worst_s(excess_s),
         silent=float(np.mean(~np.isfinite(excess_s))) if excess_s.size else 1.0,
         is_named=any(kind_of(word) in SENSOR_KINDS for word in words),
     )

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from peers.columns import FloatArray
 
-from scoring.lines import ours
+from scoring.lines import Lines, ours
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
 from scoring.wrong_cases import GENERIC, Case, fitted
 from uavbatt.battery import battery_file
@@ -91,13 +91,24 @@ def judged_through(case: Case, misread: Callable[[float], float]) -> Judged:
     return judge(case, flown, list(steps(shown.flight(case.name), estimator(case))))
 
 
+def late_excess_s(lines: Lines, end_s: float) -> FloatArray:
+    """Return by how much the 5 % point was too long in each line of the last two minutes [s]; NaN where refused."""
+    assert lines.lo_s is not None
+    late = lines.time_s > end_s - LAST_S
+    return np.asarray(lines.lo_s[late] - (end_s - lines.time_s[late]))
+
+
+def worst_s(excess_s: FloatArray) -> float:
+    """Return the largest excess that is known [s]; NaN if none is."""
+    return float(np.nanmax(excess_s)) if np.isfinite(excess_s).any() else NAN
+
+
 def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
     """Return the figures of what was said of a flight."""
     lines, start_s, end_s = ours(run), flown.start_s, flown.end_s
     score = lines.scored(case.name, case.battery, start_s, end_s)
     columns = np.stack([lines.time_s, lines.remaining_s, *(c for c in (lines.lo_s, lines.hi_s) if c is not None)])
-    late = columns[:, lines.time_s > end_s - LAST_S]
-    excess_s = late[2] - (end_s - late[0])
+    excess_s = late_excess_s(lines, end_s)
     nees, rmse = _charge(run, flown, start_s + SETTLED_S)
     words = [s.estimate.time_s for s in run if any(w in s.estimate.warnings for w in WORDS)]
     return Judged(
@@ -105,7 +116,7 @@ def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
         flown_s=end_s - start_s,
         half=_said(columns, start_s + 0.5 * (end_s - start_s), end_s),
         before={left_s: _said(columns, end_s - left_s, end_s) for left_s in BEFORE_END_S},
-        lo_excess_s=float(np.nanmax(excess_s)) if np.isfinite(excess_s).any() else NAN,
+        lo_excess_s=worst_s(excess_s),
         covered=score.coverage,
         refused=score.refused,
         alarm_s=score.alarm_at_s,

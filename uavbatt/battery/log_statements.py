@@ -9,7 +9,15 @@ import math
 from collections.abc import Iterable
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, PackSize, capacity_since_s, checked, counts_of_cells, size_of_pack
+from uavbatt.battery.sizing import (
+    PackOptions,
+    PackSize,
+    capacity_since_s,
+    checked,
+    counts_of_cells,
+    resting,
+    size_of_pack,
+)
 from uavbatt.battery.statements import SEVERAL_ROWS, Statements, is_at_rest
 from uavbatt.errors import UsageError
 from uavbatt.limits import GUESSED_FROM, TOLD_FROM, FirstVoltages, Resting, told_cells
@@ -62,11 +70,21 @@ def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight)
         size_from_rows(battery, options, flight, flight.facts_at(until_s))
 
 
-def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
+def check_whole(flight: Flight, pack: PackSize, rested: Resting) -> None:
     """Raise UsageError when a row of the flight contradicts the size of its pack for certain."""
     statements = Statements()
     for sample in flight.samples:
         statements = statements.after(sample, sample, pack)
-        doubts = statements.doubts(pack, resting)
+        doubts = statements.doubts(pack, rested)
         if doubts and doubts[0].is_certain and statements.rows >= SEVERAL_ROWS:
             raise UsageError(f"{flight.source}: {doubts[0].words}")
+
+
+def whole_size(battery: BatteryFile, options: PackOptions, flight: Flight) -> PackSize:
+    """Return the size of a flight's pack by all that the log says.
+
+    Raises UsageError when there is no voltage, or when a row contradicts the size for certain.
+    """
+    size = size_from_rows(battery, options, flight, flight.facts_at(math.inf))
+    check_whole(flight, size, resting(battery))
+    return size

@@ -81,12 +81,9 @@ def distinct(flights: list[Flight]) -> list[Flight]:
 
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
     """Return the size of a flight's pack. Raises UsageError if the rows of the flight contradict it."""
-    from uavbatt.battery.log_statements import check_whole, size_from_rows
-    from uavbatt.battery.sizing import resting
+    from uavbatt.battery.log_statements import whole_size
 
-    size = size_from_rows(content, stated, flight, flight.facts_at(math.inf))
-    check_whole(flight, size, resting(content))
-    return _rounded(size)
+    return _rounded(whole_size(content, stated, flight))
 
 
 def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:

@@ -114,14 +114,10 @@ def _size_by(battery: BatteryFile, flight: Flight, stated: PackOptions) -> PackS
 
     Raises UsageError if a row of the flight contradicts the size for certain.
     """
-    from uavbatt.battery.log_statements import check_whole, size_from_rows
-    from uavbatt.battery.sizing import resting
+    from uavbatt.battery.log_statements import whole_size
 
-    if not any(math.isfinite(s.voltage_V) for s in flight.samples):
-        return None
-    size = size_from_rows(battery, stated, flight, flight.facts_at(math.inf))
-    check_whole(flight, size, resting(battery))
-    return size
+    is_read = any(math.isfinite(s.voltage_V) for s in flight.samples)
+    return whole_size(battery, stated, flight) if is_read else None
 
 
 def _sound(flight: Flight, size: PackSize | None) -> Flight:
