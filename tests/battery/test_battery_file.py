@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 from uavbatt import Estimator
 from uavbatt.battery import battery_file
-from uavbatt.battery.battery_file import Wander
+from uavbatt.battery.battery_file import BatteryFile, Wander
 from uavbatt.battery.scaling import pack_of
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, Uncertified
-from uavbatt.fitting.generic import generic_lipo
+from uavbatt.fitting.generic import generic_lipo, generic_lithium_ion
 
-PACKAGED = ("lipo-generic", "lpab-3s")
+PACKAGED = ("lipo-generic", "liion-generic", "lpab-3s")
 PRIVATE = ("content_sha256", "date", "tool_version")  # of the certificate: what the hash does not cover
 
 
@@ -95,14 +95,14 @@ def test_packaged_files_are_intact(name: str) -> None:
     read = battery_file.read_battery(name)
     assert read.certificate.content_sha256 == battery_file.content_hash(read)
     assert read.battery.name == name
-    assert read.status == {"lipo-generic": "generic", "lpab-3s": "certified"}[name]
+    assert read.status == ("certified" if name == "lpab-3s" else "generic")
 
 
-def test_the_packaged_prior_is_the_one_in_the_code() -> None:
-    """Whoever changes the prior packages it again: scripts/package_batteries.py."""
-    assert battery_file.content_hash(battery_file.read_battery("lipo-generic")) == battery_file.content_hash(
-        generic_lipo()
-    )
+@pytest.mark.parametrize("made", [generic_lipo(), generic_lithium_ion()], ids=["LiPo", "Li-ion"])
+def test_the_packaged_priors_are_those_in_the_code(made: BatteryFile) -> None:
+    """Whoever changes a prior packages it again: scripts/package_batteries.py."""
+    packaged = battery_file.read_battery(made.battery.name)
+    assert battery_file.content_hash(packaged) == battery_file.content_hash(made)
 
 
 @pytest.mark.parametrize("name", PACKAGED)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from packs.made import RATED_AH, TYPE_OHM, flight
 
-from uavbatt.battery.battery_file import GENERIC
+from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION
 from uavbatt.packs import ageing
 from uavbatt.packs.findings import of_battery_file
 from uavbatt.packs.outlook import outlook
@@ -102,7 +102,9 @@ def test_the_page_does_not_call_an_unknown_end_no_end():
 
 
 def test_a_pack_says_that_it_is_read_with_the_generic_file():
-    assert [finding.kind for finding in of_battery_file(GENERIC)] == ["generic_file"]
+    for name in (GENERIC, GENERIC_LITHIUM_ION):
+        (finding,) = of_battery_file(name)
+        assert finding.kind == "generic_file" and name in finding.words
     assert of_battery_file("a-make") == ()
 
 

@@ -59,10 +59,15 @@ __all__ = [
 ]
 
 SUFFIX = ".battery.toml"
-GENERIC = "lipo-generic"  # the packaged file of a typical LiPo cell
+GENERIC, GENERIC_LITHIUM_ION = "lipo-generic", "liion-generic"  # the packaged files of typical cells
 MOST_BYTES = 5_000_000
 EMPTY_KNOT, FULL_KNOT = 0.2, 0.8  # beyond its outer knots the open-circuit voltage goes on straight
 STEEPEST_V = 300.0  # volts per unit of charge: an emptied cell falls by 10 to 100
+
+
+def is_generic(name: str) -> bool:
+    """Return True if a battery file of this name is a packaged one of typical cells, of no one make."""
+    return name in (GENERIC, GENERIC_LITHIUM_ION)
 
 
 def content_hash(file: BatteryFile) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from uavbatt.battery.battery_file import Battery, BatteryFile
+from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION, Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.limits import Doubt
 from uavbatt.notice import Kind, Notice
 
 SCALED_FAR = 1.5  # a capacity so many times that of the battery file is another pack's
+LEAST_LIPO_ENDING_V = 3.1  # of a cell: crews end LiPo flights at 3.2 to 3.6 V, lithium-ion ones at 2.5 to 3.1 V
 
 
 def likely(doubts: list[Doubt | None]) -> tuple[str, ...]:
@@ -27,10 +28,17 @@ def scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[st
     return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
 
 
-def fuller(battery: BatteryFile, fullest_V: float) -> tuple[str, ...]:
-    """Return a remark where the cells are taken for ones that charge higher than others; fullest_V of a cell [V]."""
-    is_fuller = battery.status == "generic" and fullest_V > ORDINARY_FULL_V
-    return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
+def other_kind(battery: BatteryFile, cells: int, cutoff_V: float, fullest_V: float) -> tuple[str, ...]:
+    """Return a remark where the cells look like another kind than a generic file's, by cut-off [V] or fullest cell [V].
+
+    Cells that charge higher are taken for ones that do; lithium-ion cells need a file of their own.
+    """
+    if battery.status == "generic" and fullest_V > ORDINARY_FULL_V:
+        return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",)
+    if battery.battery.name != GENERIC or cutoff_V >= LEAST_LIPO_ENDING_V * cells:
+        return ()
+    ends = f"cut-off {cutoff_V:g} V is {cutoff_V / cells:.2f} V a cell"
+    return (f"{ends}, as for lithium-ion cells: for those take the battery file `{GENERIC_LITHIUM_ION}`",)
 
 
 def uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:

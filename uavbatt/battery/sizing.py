@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.size_remarks import fuller, likely, scaled_far, uncertified
+from uavbatt.battery.size_remarks import likely, other_kind, scaled_far, uncertified
 from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
@@ -140,7 +140,7 @@ def size_of_pack(
         low_V=low_V,
         low_from=low_from,
         uncertified=uncertified(battery, cells, capacity_Ah),
-        notices=(*doubtful, *scaled_far(battery, cells, capacity_Ah), *fuller(battery, fullest_V)),
+        notices=(*doubtful, *scaled_far(battery, cells, capacity_Ah), *other_kind(battery, cells, cutoff_V, fullest_V)),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), None),
         fullest_cell_V=fullest_V,
     )

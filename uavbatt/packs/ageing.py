@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.battery_file import GENERIC
+from uavbatt.battery.battery_file import is_generic
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
@@ -58,7 +58,7 @@ def _first(flight: FlightRecord, mean: Array, sd: Array) -> PackBelief:
     covariance = np.diag(every_sd**2)
     for k, correlation in zip((0, 2), AGED_TOGETHER, strict=True):
         covariance[k, k + 1] = covariance[k + 1, k] = correlation * every_sd[k] * every_sd[k + 1]
-    if flight.battery == GENERIC:
+    if is_generic(flight.battery):
         covariance[:2, :2] += np.diag((UNKNOWN_MAKE_NEW_SD if mean is NEW_MEAN else UNKNOWN_MAKE_USED_SD) ** 2)
     return PackBelief(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
 

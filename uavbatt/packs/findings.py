@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from uavbatt.battery.battery_file import GENERIC
+from uavbatt.battery.battery_file import is_generic
 from uavbatt.battery.model import Array
 from uavbatt.packs.records import FlightRecord, PackFinding
 
@@ -38,9 +38,9 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
 
 def of_battery_file(battery: str) -> tuple[PackFinding, ...]:
     """Return the finding that a pack's flights are read with the generic file; nothing for a file of a make."""
-    if battery != GENERIC:
+    if not is_generic(battery):
         return ()
-    words = f"read with {GENERIC}: its capacity may be a third off; fit a file of its make before you retire it"
+    words = f"read with {battery}: its capacity may be a third off; fit a file of its make before you retire it"
     return (PackFinding("generic_file", words),)
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from uavbatt.battery.battery_file import GENERIC
+from uavbatt.battery.battery_file import is_generic
 from uavbatt.packs.records import Outlook, PackBelief
 
 RETIRED_AT = 0.8  # share of the rated capacity
@@ -23,7 +23,7 @@ LEVELS = np.array([-1.645, -1.036, -0.674, -0.385, -0.126, 0.126, 0.385, 0.674, 
 
 def shared_sd(battery: str) -> tuple[float, float]:
     """Return the sd of ln ohm and ln Ah that all flights share which are read with a battery file of this name."""
-    return GENERIC_SHARED_SD if battery == GENERIC else SHARED_SD
+    return GENERIC_SHARED_SD if is_generic(battery) else SHARED_SD
 
 
 def outlook(known: PackBelief, rated_Ah: float, flights: int, battery: str) -> Outlook:

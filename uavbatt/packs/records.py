@@ -103,7 +103,8 @@ class PackBelief(NamedTuple):
 class PackFinding:
     """A PackFinding is something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
 
-    kind: str  # of sudden_ohms, sudden_loss, another_pack, weak_cell, charged_too_fast, counter, higher_charge
+    # of sudden_ohms, sudden_loss, another_pack, weak_cell, charged_too_fast, counter, higher_charge, generic_file
+    kind: str
     words: str
 
 
