@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -147,7 +148,8 @@ def of_make(volts: tuple[float, ...], ground_s: int = 15) -> FittedBattery:
     ]
     logs = [m.flight(f"{number}") for number, m in enumerate(made)]
     airborne = [Flight(f.source, f.kind, tuple(s for s in f.samples if s.armed)) for f in logs]
-    return fit_battery(RecordedPack("mine", 6, 8.4, 18.0), [], logs if ground_s else airborne)
+    cutoff_V = 18.0 if ground_s else math.nan  # nobody states one
+    return fit_battery(RecordedPack("mine", 6, 8.4, cutoff_V), [], logs if ground_s else airborne)
 
 
 @pytest.mark.parametrize("ground_s", [15, 0], ids=["from rest", "from the air"])
@@ -155,6 +157,7 @@ def test_flights_of_lithium_ion_cells_tell_their_curve(ground_s: int) -> None:
     """It was up to 0.6 V too high with the prior of a LiPo cell, and ohms twice as large explained the voltage."""
     made = of_make(NMC_V, ground_s)
     assert made.file.battery.chemistry == "Li-ion" and not made.doubtful
+    assert (made.file.battery.cutoff_V, made.file.battery.low_V) == (18.0, 19.2)  # usual for such cells
     error_V = np.array(made.file.parameters.ocv_V) - np.interp(prior.OCV_SOC, other_pack.SOC, NMC_V)
     assert np.abs(error_V[prior.OCV_SOC >= 0.05]).max() < 0.05
     se_V = np.array([made.file.parameters.standard_error[f"ocv_{z:g}"] for z in prior.OCV_SOC])

@@ -13,17 +13,16 @@ from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.log_statements import first_voltages
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
-from uavbatt.battery.sizing import PackOptions, PackSize, possible_facts, size_of_pack
+from uavbatt.battery.sizing import PackSize, possible_facts
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
-from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry
 from uavbatt.fitting.solve import CellFit, OwnPrior
 from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
 from uavbatt.output import counted
-from uavbatt.records import Flight, PackFacts
+from uavbatt.records import Flight
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
@@ -39,7 +38,7 @@ ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s"
 
 @dataclass(frozen=True, slots=True)
 class RecordedPack:
-    """RecordedPack holds the size of the pack of the records, and the voltage that ends a flight [V]."""
+    """RecordedPack holds the size of the pack of the records, and the voltage that ends a flight [V; NaN: unstated]."""
 
     name: str
     cells: int
@@ -95,7 +94,8 @@ def _file(
     size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
-    error = fit.standard_errors
+    error, usual_V = fit.standard_errors, fit.chemistry.cutoff_V * size.cells
+    cutoff_V = size.cutoff_V if np.isfinite(size.cutoff_V) else assemble.rounded(usual_V)
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
         battery=Battery(
@@ -103,8 +103,8 @@ def _file(
             chemistry=datasets[0].chemistry if datasets else fit.chemistry.name,
             cells_series=size.cells,
             capacity_Ah=size.capacity_Ah,
-            cutoff_V=size.cutoff_V,
-            low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
+            cutoff_V=cutoff_V,
+            low_V=assemble.rounded(max(fit.chemistry.low_V * size.cells, cutoff_V)),
             source=f"fitted to {counted(records.bench, 'bench test')} and {counted(records.flights, 'flight')}",
             remarks=remarks,
         ),
@@ -189,10 +189,8 @@ def size_of(
     capacity = _first([capacity_Ah, *capacities_Ah])
     if not np.isfinite(capacity):
         raise UsageError("capacity: neither a data set nor a vehicle states it: give --capacity-ah")
-    critical_V = _first([*[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets]])
-    fact = PackFacts(capacity_Ah=float(capacity), critical_voltage_V=float(critical_V))
-    size = size_of_pack(generic_lipo(), PackOptions(int(series), cutoff_V=cutoff_V), fact, int(series))
-    return RecordedPack(name, size.cells, size.capacity_Ah, size.cutoff_V, tuple(notices))
+    ends_V = _first([cutoff_V, *[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets]])
+    return RecordedPack(name, int(series), float(capacity), float(ends_V), tuple(notices))
 
 
 def _flown_cells(flight: Flight) -> int | None:

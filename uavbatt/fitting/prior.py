@@ -63,16 +63,21 @@ class Slot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chemistry:
-    """A Chemistry is what is known of the cells of a kind before any data: the OCV at OCV_SOC [V], its sd, and R0."""
+    """A Chemistry is what is known of the cells of a kind before any data: the OCV at OCV_SOC [V], its sd, and R0.
+
+    cutoff_V, low_V : of a cell under load, where crews end a flight and are warned, if nobody states it [V]
+    """
 
     name: str
     ocv_V: Array
     ocv_sd_V: Array
     ohmAh: float
+    cutoff_V: float
+    low_V: float
 
 
-LIPO = Chemistry("LiPo", OCV_V, OCV_SD_V, RESISTANCE_OHMAH)
-LITHIUM_ION = Chemistry("Li-ion", LITHIUM_ION_V, LITHIUM_ION_SD_V, LITHIUM_ION_OHMAH)
+LIPO = Chemistry("LiPo", OCV_V, OCV_SD_V, RESISTANCE_OHMAH, 3.3, 3.5)  # 10.5 V is the usual warning of a 3S pack
+LITHIUM_ION = Chemistry("Li-ion", LITHIUM_ION_V, LITHIUM_ION_SD_V, LITHIUM_ION_OHMAH, 3.0, 3.2)
 
 
 def ocv_knots(fullest_V: float, chemistry: Chemistry = LIPO) -> Array:

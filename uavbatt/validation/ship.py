@@ -21,7 +21,6 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
-from uavbatt.fitting.generic import LOW_CELL_V
 from uavbatt.fitting.wander import USUAL_TIME_S
 from uavbatt.validation.gating.gate import Claim, Limits, judged_instants
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
@@ -61,7 +60,7 @@ def battery_file(
             cells_series=cells,
             capacity_Ah=fitted.capacity_Ah,
             cutoff_V=dataset.cutoff_V,
-            low_V=rounded(LOW_CELL_V * cells),
+            low_V=rounded(prior.LIPO.low_V * cells),
             source=dataset.source,
             remarks=_remarks(fitted.capacity_Ah, claims),
         ),
