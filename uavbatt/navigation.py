@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from uavbatt.nan_equal import nan_equal
+
 NAN = math.nan
 FRESH_S = 5.0  # an older position is not used
 ALOFT_M, ALOFT_MS = 5.0, 5.0  # so high or so fast an armed aircraft is in the air
@@ -68,6 +70,7 @@ LANDINGS = (Action.LAND, Action.UNKNOWN)
 LAND_STARTS = (189,)  # MAV_CMD_DO_LAND_START
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class MissionItem:
     """MissionItem is one item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home, kept)."""
@@ -89,6 +92,7 @@ class MissionItem:
     reason: str = ""  # why it is UNKNOWN
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Mission:
     """Mission holds a whole mission; `reason` is empty or says why it is not understood."""
@@ -105,6 +109,7 @@ class Mission:
         return bool(self.reason) or any(item.action in LANDINGS or item.command in LAND_STARTS for item in self.items)
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Home:
     """Home is the place that the autopilot returns to; alt_m is above sea."""
@@ -114,6 +119,7 @@ class Home:
     alt_m: float = NAN
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class ReturnSettings:
     """ReturnSettings holds speeds and way home by the vehicle's parameters; NaN if a parameter is not known."""
@@ -139,6 +145,7 @@ class ReturnSettings:
     is_px4: bool = False  # what is not known is PX4's default, else ArduCopter's
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Position:
     """Position holds place and velocity of the aircraft at one instant."""
@@ -153,6 +160,7 @@ class Position:
     airspeed_ms: float = NAN
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Wind:
     """Wind is the wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
@@ -162,6 +170,7 @@ class Wind:
     sd_ms: float = NAN
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Navigation:
     """Navigation holds all that is known of route and place at one instant; fields change by replacement."""

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from uavbatt.nan_equal import nan_equal
 from uavbatt.navigation import NOWHERE, Navigation
 
 NAN = math.nan
@@ -39,6 +40,7 @@ class Status(StrEnum):
     STALE = "stale"
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Sample:
     """Sample holds one telemetry row of one battery; NaN is not measured.
@@ -64,6 +66,7 @@ class Sample:
     cell_voltages_V: tuple[float, ...] = ()
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class PackFacts:
     """PackFacts holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
@@ -88,6 +91,7 @@ class PackFacts:
         return () if self.cells_series is not None else (self.critical_voltage_V, self.low_voltage_V)
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Identity:
     """Identity holds what a log tells of aircraft, pack and date; empty, None or NaN if it does not tell."""
@@ -100,6 +104,7 @@ class Identity:
     start_utc_s: float = NAN  # time of the first record [s since 1970]
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Flight:
     """Flight holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
@@ -176,6 +181,7 @@ class Flight:
         return self.navigation[count - 1] if count else NOWHERE
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """Estimate holds the filter's belief after one sample; NaN is not known.
@@ -225,6 +231,7 @@ class Estimate:
     wear_sd: float = NAN
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Route:
     """Route holds the part of a forecast about the route, the way home and the turn-back.
@@ -273,6 +280,7 @@ class Route:
         return self.turn_back_lo_s <= 0.0
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Remaining:
     """Remaining holds the time until the end of flight; NaN with a reason when it is refused.

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from uavbatt.nan_equal import nan_equal
 from uavbatt.records import NAN, Flight, Sample
 
 CELLS, CUTOFF_V, FULL_AH, POWER_W, AIR_C = 4, 13.2, 5.0, 300.0, 25.0
@@ -145,6 +146,7 @@ class Power:
         return (1.0 + self.climb, 20.0) if is_climb else (1.0 - 0.5 * self.climb, 25.0)
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Sensors:
     """Sensors says how the vehicle reads: noise and last digits, and what is wrong with it from some time on."""

@@ -35,7 +35,7 @@ SETTLED_SHARE = 0.2  # largest sd of the capacity, relative: beyond, the time le
 
 UNFITTING = Notice("voltage and current have not fitted this battery for a minute", Kind.UNFITTING)
 FAR_OFF = Notice(
-    "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted",
+    "the voltage is far off what this battery file expects: another make or kind, a sensor or less charge than counted",
     Kind.FAR_OFF,
 )
 SMALL = Notice("this pack holds less than stated: aged or smaller, or a current sensor that reads low", Kind.SMALL_PACK)

@@ -10,6 +10,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.log_replay.in_air import InAir, first_below_s, in_air
 from uavbatt.log_replay.run import ReplayedRow
+from uavbatt.nan_equal import nan_equal
 from uavbatt.records import NAN, Status
 
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
@@ -46,6 +47,7 @@ class Checkpoint:
         return self.lo_s <= self.before_end_s <= self.hi_s
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Landing:
     """Landing tells how much longer the aircraft could have flown, by the forecast at the last row in the air.
