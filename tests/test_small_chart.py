@@ -74,4 +74,5 @@ def test_a_notebook_shows_a_flight_in_a_few_lines() -> None:
 
 
 def test_a_flight_without_a_voltage_has_no_drawing() -> None:
-    assert "<svg" not in Flight("f", "csv", (Sample(0.0, math.nan),))._repr_html_()
+    for rows in ((Sample(0.0, math.nan),), ()):
+        assert "<svg" not in Flight("f", "csv", rows)._repr_html_()

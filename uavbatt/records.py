@@ -142,28 +142,20 @@ class Flight:
 
     def __repr__(self) -> str:
         """Return one line, without the thousands of rows."""
-        return (
-            f"<Flight {self.source}: {self.kind}, battery {self.instance}, {len(self.samples)} rows, "
-            f"{self.duration_s:.0f} s>"
-        )
+        battery = f"{self.source}: {self.kind}, battery {self.instance}"
+        return f"<Flight {battery}, {len(self.samples)} rows, {self.duration_s:.0f} s>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a small table and the voltage over the flight."""
-        from uavbatt.small_chart import CHART, captioned, small_chart, small_table
+        from uavbatt.small_chart import voltage_table
 
-        volts = [sample.voltage_V for sample in self.samples]
-        known = [value for value in volts if math.isfinite(value)]
         facts = (
             ("log", self.kind),
             ("battery", f"{self.instance} of {', '.join(map(str, self.instances))}"),
             ("rows", f"{len(self.samples)} in {self.duration_s:.0f} s"),
             ("notes", "; ".join(self.notes) or "none"),
         )
-        if not known:
-            return small_table(self.source, facts)
-        words = f"Voltage of the pack over the log: {min(known):.2f} to {max(known):.2f} V"
-        drawn = small_chart([sample.time_s for sample in self.samples], volts, alt=words, size=CHART)
-        return small_table(self.source, facts, captioned(drawn, words))
+        return voltage_table(self.source, facts, [(s.time_s, s.voltage_V) for s in self.samples])
 
     def facts_at(self, time_s: float) -> PackFacts:
         """Return the facts known at `time_s` [s]; an empty `PackFacts` before the first."""
