@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from daemon_bench import Bench
@@ -79,6 +80,37 @@ def test_rows_of_the_vehicle_that_comes_next_are_in_no_flight_of_the_last_one(le
     assert bench.daemon.board.reports[0].system == 42
     with Ledger(ledger) as opened:
         assert airborne.left_over(opened) == []
+
+
+def smart_battery(serial: bytes, number: int = 0) -> Any:
+    """SMART_BATTERY_INFO of a pack."""
+    return dialect.MAVLink_smart_battery_info_message(
+        number, 0, 0, 5000, -1, 3, serial, b"m", 65535, 0, 0, 0, 0, 4, 0, 0, b""
+    )
+
+
+@pytest.mark.parametrize(
+    ("messages", "serial"),
+    [
+        ([(smart_battery(b"B7"), 1, 1)], "B7"),
+        ([(smart_battery(b"B7"), 1, 180)], "B7"),  # a component of its own
+        ([(smart_battery(b"B7"), 1, 180), (smart_battery(b"B8", number=1), 1, 181)], "B7"),
+        ([(smart_battery(b"B9"), 9, 1)], ""),  # another vehicle's
+    ],
+    ids=["by the autopilot", "by itself", "and another pack", "of another vehicle"],
+)
+def test_a_pack_that_says_who_it_is_flies_under_its_serial(
+    ledger: Path, messages: list[tuple[Any, int, int]], serial: str
+) -> None:
+    bench = Bench(OPTIONS, settings=SELDOM, packs=PacksSection(str(ledger)))
+    bench.fly(1.0)
+    for message, system, component in messages:
+        bench.send(message, system=system, component=component)
+    bench.fly(20.0)
+    settle(bench)
+    with Ledger(ledger) as opened:
+        assert [left.flight.name for left in airborne.left_over(opened)] == ([serial] if serial else [])
+    bench.daemon.close()
 
 
 def tracked(samples: tuple[Sample, ...]) -> TrackedBattery:
