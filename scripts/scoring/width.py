@@ -99,7 +99,7 @@ def _variants(q: Question, logged: LoggedLoad, soc: float, log_capacity: float) 
     yield "power, charge and capacity known, no drift ahead", np.minimum(still, both.horizon_s)
 
 
-def _with(q: Question, truth: dict[X, float]) -> Question:
+def _with(q: Question, truth: dict[int, float]) -> Question:
     x = q.flying.x.copy()
     for component, value in truth.items():
         x[component] = value

@@ -15,7 +15,6 @@ error, so that the filter does not take an error of the model for information:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -28,20 +27,24 @@ from uavbatt.battery.pack import Installation, c_rate, compensated_voltage, grow
 from uavbatt.battery.scaling import Pack
 
 
-class X(IntEnum):
-    """X names the index of each component of the state vector."""
+class StateIndex(NamedTuple):
+    """StateIndex names the index of each component of the state vector, as `X`.
 
-    SOC = 0
-    POLARISATION = 1
-    DIFFUSION = 2
-    CORE = 3
-    SENSOR = 4
-    LOG_RESISTANCE = 5
-    LOG_CAPACITY = 6
-    BIAS = 7
-    REACTION = 8
+    No IntEnum: before its version 0.68 numba takes none for the index of an array.
+    """
+
+    SOC: int = 0
+    POLARISATION: int = 1
+    DIFFUSION: int = 2
+    CORE: int = 3
+    SENSOR: int = 4
+    LOG_RESISTANCE: int = 5
+    LOG_CAPACITY: int = 6
+    BIAS: int = 7
+    REACTION: int = 8
 
 
+X = StateIndex()
 SIZE = len(X)
 DOUBT_LENGTH = 1.0  # as a share of the charge
 

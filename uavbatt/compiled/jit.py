@@ -66,7 +66,7 @@ def as_numbers(record: Any) -> Any:
     """Return a record with floats and arrays of floats only, so that one compiled form serves every pack."""
     if type(record) is float:  # nearly all of them
         return record
-    if isinstance(record, bool | np.bool):
+    if isinstance(record, bool | np.bool_):
         return bool(record)
     if isinstance(record, tuple):
         values = [as_numbers(value) for value in record]

@@ -31,7 +31,7 @@ MOST_MEMBERS = 64
 
 # Lowest and highest mean of each component, and lowest and highest standard deviation. The lowest is below what any
 # flight reaches: 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials at rest are 0.
-PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
+PLAUSIBLE: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
     X.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
     X.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),
     X.DIFFUSION: ((-2.0, 2.0), (0.0, 1.0)),
@@ -95,7 +95,7 @@ def implausible_belief(means: list[Column], covariances: list[Square], weights: 
 def _implausible_moments(mean: Array, covariance: Array) -> str:
     variance = np.diag(covariance)
     for component, ((low, high), (low_sd, high_sd)) in PLAUSIBLE.items():
-        name = component.name.lower()
+        name = X._fields[component].lower()
         if not low <= mean[component] <= high:
             return f"a belief of {name} {mean[component]:g}"
         if not low_sd**2 <= variance[component] <= high_sd**2:
