@@ -20,6 +20,7 @@ from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacit
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.state_space import SIZE, X
 from uavbatt.compiled import cache as compiled_cache
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.filter import SocFilter
@@ -93,6 +94,11 @@ def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tup
 
 
 # --- the filter --------------------------------------------------------------------------------------------------
+
+
+def test_the_state_is_indexed_by_plain_integers() -> None:
+    """Numba before 0.68 compiles no IntEnum as an index: a long log, a fleet and a diagnosis ended in its error."""
+    assert [type(index) for index in X] == [int] * SIZE and list(X) == list(range(SIZE))
 
 
 @pytest.mark.slow

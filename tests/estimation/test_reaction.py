@@ -43,7 +43,9 @@ def flown(until_s: float, effects: dict[str, float]) -> Belief:
         ({"capacity_fade": FADE}, {X.REACTION: 0.0, X.LOG_RESISTANCE: 0.0, X.LOG_CAPACITY: math.log1p(-FADE)}),
     ],
 )
-def test_reaction_and_lost_charge_are_told_apart_by_half_time(effects: dict[str, float], true: dict[int, float]) -> None:
+def test_reaction_and_lost_charge_are_told_apart_by_half_time(
+    effects: dict[str, float], true: dict[int, float]
+) -> None:
     half = flown(HALF_TIME_S, effects)
     for component, value in true.items():
         assert abs(half.mean[component] - value) < 1.5 * math.sqrt(half.covariance[component, component]), component
