@@ -48,7 +48,7 @@ def number_option(name: str, least: float, most: float, text: str) -> Any:
     return typer.Option(name, parser=parse, metavar="NUMBER", help=f"{text} Expects {expected}.")
 
 
-BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
+BATTERY = typer.Option("--battery", help="Packaged battery by name (see `uavbatt batteries`), or a battery file.")
 RESERVE = number_option("--reserve-soc", 0.0, 0.99, "State of charge that ends the flight.")
 UNCERTIFIED = typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
 BatteryOption = Annotated[str, BATTERY]
