@@ -256,3 +256,19 @@ def test_a_short_time_on_a_charged_pack_is_explained(remaining_s: float, is_said
     said = limits_of(replace(found, landing=replace(found.landing, remaining_s=remaining_s)), resolved, run)
     explained = [words for words in said if words.startswith("The voltage ends it, not the charge")]
     assert len(explained) == is_said and all("falls below 13.20 V (cutoff_V)" in words for words in explained)
+
+
+@pytest.mark.parametrize(
+    ("stated", "last_V", "is_said"), [((), 11.8, True), (("--cutoff-voltage", "13.2"), 11.8, False), ((), 13.4, False)]
+)
+def test_a_flight_that_goes_on_below_a_cut_off_that_nobody_stated(
+    stated: tuple[str, ...], last_V: float, is_said: bool, tmp_path: Path
+) -> None:
+    """A lithium-ion pack is flown to 3 V a cell: "at its end before you landed" did not say whose end that was."""
+    volts = [16.4 - (16.4 - last_V) * k / 600.0 for k in range(600)]
+    rows = "".join(f"{k},{volts[k]:.3f},8.{k % 5}\n" for k in range(600))
+    (tmp_path / "f.csv").write_text("time_s,voltage_V,current_A\n" + rows)
+    for form in ((), ("--plain",)):
+        done = called("replay", "f.csv", "--cells", "4", "--capacity-ah", "5", *form, *stated, folder=tmp_path)
+        said = [line for line in done.stdout.splitlines() if "obody stated the cut-off" in line]
+        assert len(said) == is_said and all("2 min 59 s" in line and "liion-generic" in line for line in said)

@@ -40,6 +40,7 @@ from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
+FROM_BATTERY_FILE = "battery file"  # the source of a number
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 
@@ -182,7 +183,7 @@ def pack_from(battery: BatteryFile, options: PackOptions) -> Pack:
 
     Raises UsageError when neither states the capacity.
     """
-    return sized(battery, size_of_pack(battery, options, PackFacts(), battery.battery.cells_series, "battery file"))
+    return sized(battery, size_of_pack(battery, options, PackFacts(), battery.battery.cells_series, FROM_BATTERY_FILE))
 
 
 def sized(battery: BatteryFile, size: PackSize) -> Pack:
@@ -236,7 +237,7 @@ def possible_facts(facts: PackFacts, cells: int, voltages: FirstVoltages) -> tup
 def _capacity(battery: BatteryFile, options: PackOptions, facts: PackFacts) -> tuple[float, str]:
     """Return the capacity [Ah] and its source; `facts` holds the vehicle's statements that are believed."""
     stated, typed_Ah = (options.capacity_Ah, _by(options.names.capacity)), battery.battery.capacity_Ah
-    return _first(stated, (facts.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
+    return _first(stated, (facts.capacity_Ah, "vehicle"), (typed_Ah, FROM_BATTERY_FILE))
 
 
 def _endings(
@@ -247,12 +248,12 @@ def _endings(
     cutoff = _first(
         (options.cutoff_V, _by(options.names.cutoff)),
         (facts.critical_voltage_V, "vehicle"),
-        (typed.cutoff_V * share, "battery file"),
+        (typed.cutoff_V * share, FROM_BATTERY_FILE),
     )
     low = _first(
         (options.low_V, _by(options.names.low)),
         (facts.low_voltage_V, "vehicle"),
-        (None if typed.low_V is None else typed.low_V * share, "battery file"),
+        (None if typed.low_V is None else typed.low_V * share, FROM_BATTERY_FILE),
         (NAN, "nobody"),
     )
     return cutoff, low

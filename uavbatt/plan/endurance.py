@@ -19,7 +19,7 @@ from uavbatt.battery.log_statements import check_statements, size_from_rows
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
-from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack, sized
+from uavbatt.battery.sizing import FROM_BATTERY_FILE, PackOptions, PackSize, size_of_pack, sized
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
@@ -75,7 +75,7 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     typed = battery.battery
     if options.cells is None and not battery.is_measured:
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
-    found = size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
+    found = size_of_pack(battery, options, PackFacts(), typed.cells_series, FROM_BATTERY_FILE)
     if found.refusal:
         raise UsageError(found.refusal)
     return found

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION
+from uavbatt.battery.sizing import FROM_BATTERY_FILE, PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of
@@ -15,6 +16,7 @@ from uavbatt.report.page import duration, number, sentence
 
 # The load of the last minute, and how much flight the charge must promise, before low voltage is explained.
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
+FLOWN_ON_S = 60.0  # longer than a landing takes
 VOLTAGE_SHARE = 0.4  # of the time by the charge alone: below it the voltage is explained
 OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that stand on the page in other words
 
@@ -22,12 +24,22 @@ OTHERWISE_SAID = (Kind.ALARM, Kind.UNCERTIFIED, Kind.TURN_BACK)  # warnings that
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the sentences under the answer, the most important first."""
     return [
+        *(f"{sentence(words)}." for words in flown_on(outcome, resolved)),
         *_alarm(steps),
         _charge_words(outcome),
         *_ended_by_voltage(outcome, resolved, steps),
         *_doubts(outcome, steps),
         _accuracy_words(outcome, resolved),
     ]
+
+
+def flown_on(outcome: Outcome, resolved: PackSize) -> list[str]:
+    """Return in words that the flight went on long after its end, if nobody stated the cut-off: it is another one."""
+    on_s = outcome.landing.time_s - outcome.end_of_flight_s if outcome.landing is not None else math.nan
+    if resolved.cutoff_from != FROM_BATTERY_FILE or not on_s > FLOWN_ON_S:
+        return []
+    other = f", and for lithium-ion cells --battery {GENERIC_LITHIUM_ION}" if resolved.battery == GENERIC else ""
+    return [f"nobody stated the cut-off, and it flew on below it for {duration(on_s)}: give --cutoff-voltage{other}"]
 
 
 def _charge_words(outcome: Outcome) -> str:

@@ -12,7 +12,7 @@ from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
-from uavbatt.report.flight_limits import against_a_reserve, charge_interval, limits_of
+from uavbatt.report.flight_limits import against_a_reserve, charge_interval, flown_on, limits_of
 from uavbatt.report.page import duration
 from uavbatt.report.series import WarningSpan, warnings_of
 
@@ -37,7 +37,7 @@ def lines(flight: Flight, resolved: PackSize, outcome: Outcome, run: list[Replay
         f"  forecast   {_forecast_share_words(outcome.refused_in_air)}",
     ]
     lines += _route_lines(_route_summary(run))
-    lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
+    lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flown_on(outcome, resolved), *flight.notes]]
     return lines + _checked_lines(outcome)
 
 
