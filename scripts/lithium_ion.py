@@ -3,7 +3,7 @@
 
     python scripts/lithium_ion.py [--each 20]
 
-Packs of 70 to 103 % of the stated 5 Ah, charged to 85 % and more, flown at 70 to 220 W (a minute on two cores).
+Packs of 70 to 103 % of the stated 5 Ah, charged to 85 % and more, flown at 70 to 220 W (90 s on two cores).
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from itertools import product
 from multiprocessing import Pool
 
 import numpy as np
-from scoring.lithium_ion import MAKES, judged
-from scoring.wrong_judged import Judged
+from scoring.lithium_ion import MAKES, case
+from scoring.wrong_judged import Judged, judged
+from scoring.wrong_tables import alarm_words
 
 from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION
 
@@ -30,8 +31,7 @@ def line(battery: str, make: str, found: list[Judged]) -> str:
     half = np.nanmean([abs(j.half.error_s) / j.flown_s for j in found])
     late_s = np.nanmean([abs(j.before[120.0].error_s) for j in found])
     excess_s = max(np.nanmax([j.lo_excess_s for j in found]), 0.0)
-    alarms_s = [j.alarm_s for j in found]
-    alarm = f"{min(alarms_s):.0f} / {np.median(alarms_s):.0f} / {max(alarms_s):.0f}"
+    alarm = alarm_words(found)
     inside, refused = np.mean([j.covered for j in found]), np.mean([j.refused for j in found])
     cells = (battery, make, f"{half:.0%}", f"{late_s:.0f}", f"{excess_s:.0f}", alarm, f"{inside:.0%}", f"{refused:.0%}")
     return f"| {' | '.join(cells)} |"
@@ -41,9 +41,9 @@ def main() -> None:
     """Fly all packs with both files and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--each", type=int, default=20, help="flights of each make")
-    calls = list(product(FILES, range(len(MAKES) * parser.parse_args().each)))
+    cases = [case(*call) for call in product(FILES, range(len(MAKES) * parser.parse_args().each))]
     with Pool() as pool:
-        answers = pool.starmap(judged, calls, chunksize=1)
+        answers = pool.map(judged, cases, chunksize=1)
     print(
         "| battery file | make | off at half time | off at 120 s [s] | 5 % point too long by at most [s] "
         "| alarm with [s] left | inside | no number |"

@@ -18,6 +18,7 @@ from multiprocessing import Pool
 import numpy as np
 from scoring import wrong_cases
 from scoring.wrong_judged import Judged, judged_through
+from scoring.wrong_tables import alarm_words
 
 EACH, EVERY_NTH, SEED = 6, 3, 5
 STEPS_V, NOISE_V = (0.1, 0.2, 0.5), (0.0, 0.05, 0.1, 0.3)
@@ -41,11 +42,17 @@ def line(words: str, found: list[Judged]) -> str:
     known = [j for j in found if np.isfinite(j.before[120.0].error_s)]
     if not known:
         return f"| {words} | 0 of {len(found)} | – | – | – | – |"
-    alarms_s = sorted(j.alarm_s for j in known)
     error_s = np.mean([abs(j.before[120.0].error_s) for j in known])
     excess_s, nees = max(j.lo_excess_s for j in known), np.mean([j.nees for j in known])
-    alarm = f"{alarms_s[0]:.0f} / {np.median(alarms_s):.0f} / {alarms_s[-1]:.0f}"
-    return f"| {words} | {len(known)} of {len(found)} | {error_s:.0f} | {excess_s:.0f} | {alarm} | {nees:.2f} |"
+    cells = (
+        words,
+        f"{len(known)} of {len(found)}",
+        f"{error_s:.0f}",
+        f"{excess_s:.0f}",
+        alarm_words(known),
+        f"{nees:.2f}",
+    )
+    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:

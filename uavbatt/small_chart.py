@@ -104,6 +104,16 @@ def captioned(drawing: str, words: str) -> str:
     return f"<div>{drawing}<div>{_safe(words)}</div></div>"
 
 
+def voltage_table(title: str, facts: Iterable[tuple[str, str]], rows: Sequence[Point]) -> str:
+    """Return a small table with a chart of the voltage below it, of rows (time [s], voltage of the pack [V])."""
+    known = [voltage_V for _, voltage_V in rows if math.isfinite(voltage_V)]
+    if not known:
+        return small_table(title, facts)
+    words = f"Voltage of the pack over the log: {min(known):.2f} to {max(known):.2f} V"
+    time_s, voltage_V = zip(*rows, strict=True)
+    return small_table(title, facts, captioned(small_chart(time_s, voltage_V, alt=words, size=CHART), words))
+
+
 def _safe(text: str) -> str:
     return escape(printable(text), quote=True)
 
@@ -119,13 +129,3 @@ def _known_runs(points: Iterable[tuple[Point, ...]]) -> list[list[tuple[Point, .
     """Return the runs of neighbours in which every number is known."""
     runs = groupby(points, key=lambda of_one: all(math.isfinite(value) for point in of_one for value in point))
     return [list(run) for is_known, run in runs if is_known]
-
-
-def voltage_table(title: str, facts: Iterable[tuple[str, str]], rows: Sequence[Point]) -> str:
-    """Return a small table with a chart of the voltage below it, of rows (time [s], voltage of the pack [V])."""
-    known = [voltage_V for _, voltage_V in rows if math.isfinite(voltage_V)]
-    if not known:
-        return small_table(title, facts)
-    words = f"Voltage of the pack over the log: {min(known):.2f} to {max(known):.2f} V"
-    time_s, voltage_V = zip(*rows, strict=True)
-    return small_table(title, facts, captioned(small_chart(time_s, voltage_V, alt=words, size=CHART), words))

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoring.other_pack import CELLS, FULL_AH, Make, Pack, Power, flight
+from scoring.other_pack import CELLS, FULL_AH, Make, Power
 from scoring.wrong_cases import Case
-from scoring.wrong_judged import PERIOD_S, Judged, judge
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
-from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import steps
-from uavbatt.prediction.forecaster import ForecastSettings
 
 NMC = Make(
     "NMC",
@@ -32,16 +26,24 @@ MAKES = (NCA, NMC, SILICON)
 CUTOFFS_CELL_V = (2.8, 3.0, 3.2)
 
 
-def judged(battery: str, number: int) -> Judged:
-    """Return flight `number`, of a drawn pack, read with a packaged battery file of this name, in figures."""
+def case(battery: str, number: int) -> Case:
+    """Return flight `number`, of a drawn pack, to be read with a packaged battery file of this name."""
     dice = np.random.default_rng(number)
     make, capacity_Ah = MAKES[number % len(MAKES)], FULL_AH * dice.uniform(0.7, 1.03)
     start_soc = dice.uniform(0.85, 1.0) if number % 2 else 1.0
     power = Power(dice.uniform(70.0, 220.0), climb=float(dice.choice((0.0, 0.3))))
     cutoff_V = CELLS * float(dice.choice(CUTOFFS_CELL_V))
-    pack = Pack(capacity_Ah, start_soc, FULL_AH, dice.uniform(0.8, 1.8), make, CELLS, dice.uniform(5.0, 30.0))
-    flown = flight(pack, power, seed=number, cutoff_V=cutoff_V)
-    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=cutoff_V)
-    estimator = Estimator(battery_file.read_battery(battery), options, ForecastSettings(forecast_period_s=PERIOD_S))
-    case = Case(f"{make.name}-{number}", battery, make.name, "", make, capacity_Ah, start_soc)
-    return judge(case, flown, list(steps(flown.flight(case.name), estimator)))
+    return Case(
+        f"{make.name}-{number}",
+        battery,
+        capacity_class="70..103 %",
+        charge_class="85..100 %",
+        make=make,
+        capacity_Ah=capacity_Ah,
+        start_soc=start_soc,
+        resistance=dice.uniform(0.8, 1.8),
+        air_C=dice.uniform(5.0, 30.0),
+        power=power,
+        seed=number,
+        cutoff_V=cutoff_V,
+    )

@@ -84,6 +84,7 @@ class Case:
     power: Power = GUSTY
     sensors: Sensors = ORDINARY
     seed: int = 3
+    cutoff_V: float = CUTOFF_V
 
     @property
     def group(self) -> tuple[str, str, str]:
@@ -93,7 +94,7 @@ class Case:
     def flown(self) -> Flown:
         """Return the flight, to its end."""
         pack = Pack(self.capacity_Ah, self.start_soc, FULL_AH, self.resistance, self.make, CELLS, self.air_C)
-        return flight(pack, self.power, self.sensors, seed=self.seed)
+        return flight(pack, self.power, self.sensors, seed=self.seed, cutoff_V=self.cutoff_V)
 
     @property
     def words(self) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from peers.columns import FloatArray
 
 from scoring.lines import Lines, ours
-from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
+from scoring.other_pack import CELLS, FULL_AH, Flown, Make
 from scoring.wrong_cases import GENERIC, Case, fitted
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
@@ -63,13 +63,14 @@ class Judged:
 
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
-    """Return the packaged generic battery, or one fitted to the make."""
-    return battery_file.read_battery("lipo-generic") if name == GENERIC else fitted(make, name)
+    """Return a packaged battery by its name, the generic one of LiPo cells, or one fitted to the make."""
+    packaged = battery_file.GENERIC if name == GENERIC else name
+    return battery_file.read_battery(packaged) if packaged in battery_file.packaged() else fitted(make, name)
 
 
 def estimator(case: Case) -> Estimator:
     """Return a fresh estimator that is told what is stated of the pack."""
-    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=case.cutoff_V)
     return Estimator(battery(case.battery, case.make), options, ForecastSettings(forecast_period_s=PERIOD_S))
 
 

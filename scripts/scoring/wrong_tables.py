@@ -162,9 +162,14 @@ def _is_in_service(judged: Judged, battery: str) -> bool:
     return _is_metered(judged, battery) and low <= judged.case.capacity_Ah <= high
 
 
-def _group(name: str, some: Sequence[Judged]) -> tuple[str, ...]:
+def alarm_words(some: Sequence[Judged]) -> str:
+    """Return the true time left at the alarm [s]: the least, the median and the most of some flights."""
     alarm_s = [j.alarm_s for j in some]
     alarms = (min(alarm_s), float(np.median(alarm_s)), max(alarm_s)) if alarm_s else (math.nan,) * 3
+    return " / ".join(figure(s) for s in alarms)
+
+
+def _group(name: str, some: Sequence[Judged]) -> tuple[str, ...]:
     return (
         name,
         str(len(some)),
@@ -172,8 +177,8 @@ def _group(name: str, some: Sequence[Judged]) -> tuple[str, ...]:
         *(_errors([j.before[left_s] for j in some]) for left_s in AT_S),
         figure(max((j.lo_excess_s for j in some if math.isfinite(j.lo_excess_s)), default=math.nan)),
         share(_mean([j.covered for j in some])),
-        " / ".join(figure(s) for s in alarms),
-        str(sum(s > EARLY_S for s in alarm_s)),
+        alarm_words(some),
+        str(sum(j.alarm_s > EARLY_S for j in some)),
         figure(_mean([j.nees for j in some]), 2),
         figure(100.0 * _mean([j.soc_rmse for j in some]), 1) + " %",
         share(_mean([j.refused for j in some])),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from scoring import lithium_ion
+from scoring import lithium_ion, wrong_judged
 from scoring.other_pack import CELLS, FULL_AH, Pack, rested
 from scoring.wrong_judged import Judged
 
@@ -19,7 +19,7 @@ FLIGHTS = (2, 3, 10, 11, 25, 27)
 
 @cache
 def judged(number: int) -> Judged:
-    return lithium_ion.judged(GENERIC_LITHIUM_ION, number)
+    return wrong_judged.judged(lithium_ion.case(GENERIC_LITHIUM_ION, number))
 
 
 @pytest.mark.parametrize("number", FLIGHTS)
@@ -33,7 +33,10 @@ def test_their_generic_file_warns_in_time(number: int) -> None:
 def test_it_is_nearer_than_that_of_lipo_cells() -> None:
     ours, lipo = (
         [abs(j.half.error_s) / j.flown_s for j in found]
-        for found in (map(judged, FLIGHTS), (lithium_ion.judged(GENERIC, number) for number in FLIGHTS))
+        for found in (
+            map(judged, FLIGHTS),
+            (wrong_judged.judged(lithium_ion.case(GENERIC, number)) for number in FLIGHTS),
+        )
     )
     assert sum(ours) < 0.75 * sum(lipo)
 

@@ -94,8 +94,8 @@ def _file(
     size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
-    error, usual_V = fit.standard_errors, fit.chemistry.cutoff_V * size.cells
-    cutoff_V = size.cutoff_V if np.isfinite(size.cutoff_V) else assemble.rounded(usual_V)
+    error = fit.standard_errors
+    cutoff_V = _first([size.cutoff_V, assemble.rounded(fit.chemistry.cutoff_V * size.cells)])
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
         battery=Battery(
