@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -183,14 +183,14 @@ def _fit(
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     flying = Flying(pack, x, power_W, ambient_C, dt_s, reserve_soc)
     elsewhere = return_reason(planned.mission, planned.settings)
-    legs_home = legs_table(way_home(ahead.begin, planned.settings))
-    home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
+    home_from = partial(way_home, settings=planned.settings)
+    home = RouteLoad(
+        Ahead(ahead.begin, way.pieces(legs_table(home_from(ahead.begin)))), planned.powers, 1.0, load.level_sd
+    )
     known = ToCome(load, "route", "", ahead, elsewhere)
     end_s = np.minimum(end_times(flying, enough=1.0).end_s, dt_s.sum())
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.fly_ways(
-        known, None if elsewhere else home, flying, scenario, way, planned.settings, turns_by_s
-    )
+    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, scenario, way, home_from, turns_by_s)
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)

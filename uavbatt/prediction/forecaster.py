@@ -28,7 +28,7 @@ from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
-from uavbatt.prediction.route_ahead import way_of
+from uavbatt.prediction.route_ahead import home_from, way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, is_open, load_before_take_off
@@ -202,8 +202,8 @@ class Forecaster:
         if not self._ways.is_due(ways, typical_s):
             return asked._replace(ways=self._ways)
         home = route_forecast.homewards(self.settings.load, self._progress, navigation, asked.time_s)
-        way, settings = way_of(self._progress), navigation.settings
-        route = route_forecast.fly_ways(known, home, asked.flying, scenario, way, settings, typical_s)
+        way, homewards = way_of(self._progress), home_from(self._progress, navigation)
+        route = route_forecast.fly_ways(known, home, asked.flying, scenario, way, homewards, typical_s)
         return asked._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:

@@ -7,7 +7,9 @@ airspeed is that of the movement through the wind.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +20,14 @@ from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
+from uavbatt.prediction.route_track import way_back
 from uavbatt.records import NAN
 
 STRAIGHT = 0.9  # share of the speed towards home: within 26 degrees of the way home
 LEAST_TIMING_SD = 0.02
 FARTHEST_HOVER_MS = 2.0  # a return that moves faster has finished its climb
 LEAST_SINKING_MS = 0.2
+HomeFrom = Callable[[Point], tuple[Leg, ...]]
 RETURNS = (Mode.RETURN, Mode.RETURN_BY_TRACK)
 
 
@@ -93,26 +97,26 @@ def way_of(progress: Progress) -> LegTiming:
     return LegTiming(known.short, known.long, known.wind, known.climbs_first)
 
 
-def why_no_home(navigation: Navigation, time_s: float) -> str:
+def why_no_home(progress: Progress, navigation: Navigation, time_s: float) -> str:
     """Return why the way home from here is not known; empty if it is known."""
     if navigation.home is None:
         return "home is not known"
     here = here_at(time_s, navigation)
     if here is None:
         return "the position is not known" if navigation.position is None else "the position is stale"
-    if elsewhere := return_reason(navigation.mission, navigation.settings):
-        return elsewhere
-    if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
-        return "the aircraft returns along its own track, which is not known"
+    if navigation.mode is not Mode.RETURN_BY_TRACK:
+        return return_reason(navigation.mission, navigation.settings)
+    if way_back(progress.track.places) is None and not _heads_home(here, navigation):
+        return "the aircraft returns along its own track, which is not known from take-off on"
     return ""
 
 
 def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
     """Return the way home from where the aircraft is, or the reason why it is not known."""
-    here, reason = here_at(time_s, navigation), why_no_home(navigation, time_s)
+    here, reason = here_at(time_s, navigation), why_no_home(progress, navigation, time_s)
     if here is None or reason:
         return reason
-    legs = legs_table(_legs_home(here, navigation))
+    legs = legs_table(_legs_home(here, progress, navigation))
     return Ahead(here, way_of(progress).pieces(legs, is_flying=navigation.mode in RETURNS))
 
 
@@ -121,13 +125,23 @@ def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ah
     home = home_now(progress, navigation, time_s)
     if isinstance(home, str) or not navigation.settings.return_final_m > 0.0:
         return home
-    flown = returned(list(_legs_home(home.begin, navigation)), navigation.settings)
+    flown = returned(list(_legs_home(home.begin, progress, navigation)), navigation.settings)
     pieces = way_of(progress).pieces(flown.table, is_flying=True)
     return Ahead(home.begin, pieces, flown.lands) if flown.legs else home
 
 
-def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
-    return _begun(here, navigation) if navigation.mode in RETURNS else way_home(here, navigation.settings)
+def home_from(progress: Progress, navigation: Navigation) -> HomeFrom:
+    """Return the function that gives the legs home from any place at which the aircraft turns."""
+    back = way_back(progress.track.places) if navigation.mode is Mode.RETURN_BY_TRACK else None
+    return partial(way_home if back is None else back.legs, settings=navigation.settings)
+
+
+def _legs_home(here: Point, progress: Progress, navigation: Navigation) -> tuple[Leg, ...]:
+    """Return the legs home from here; a straight return has begun already if the mode says so."""
+    is_along_track = navigation.mode is Mode.RETURN_BY_TRACK and way_back(progress.track.places) is not None
+    if navigation.mode in RETURNS and not is_along_track:
+        return _begun(here, navigation)
+    return tuple(home_from(progress, navigation)(here))
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:

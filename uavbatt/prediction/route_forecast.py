@@ -10,13 +10,13 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
-from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction import sampling
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws
-from uavbatt.prediction.route_ahead import Ahead, ahead, home_now, is_returning, why_no_home
+from uavbatt.prediction.route_ahead import Ahead, HomeFrom, ahead, home_now, is_returning, why_no_home
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
@@ -85,7 +85,7 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
-    home_reason = why_no_home(navigation, time_s)
+    home_reason = why_no_home(progress, navigation, time_s)
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
         home_reason = home_reason or UNTOLD_POWER
@@ -119,7 +119,7 @@ def fly_ways(
     flying: Flying,
     scenario: Array,
     way: LegTiming,
-    settings: ReturnSettings,
+    home_from: HomeFrom,
     typical_s: float,
 ) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
@@ -146,7 +146,7 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, settings, sampling.least_soc(flying))
+        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, home_from, sampling.least_soc(flying))
         asked = asked._replace(turning=turning)
     return asked
 

@@ -41,7 +41,9 @@ class Path:
         return legs_table(self.legs)
 
 
-class _Speeds(NamedTuple):
+class Speeds(NamedTuple):
+    """Speeds holds the speeds at which a leg is flown [m/s]."""
+
     cruise_ms: float
     climb_ms: float
     descent_ms: float
@@ -50,14 +52,14 @@ class _Speeds(NamedTuple):
 class _Defaults(NamedTuple):
     """_Defaults holds an autopilot's own speeds and heights, used where the vehicle does not state them."""
 
-    speeds: _Speeds
+    speeds: Speeds
     return_height_m: float
     land_ms: float
     slow_below_m: float
 
 
-ARDUCOPTER = _Defaults(_Speeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
-PX4 = _Defaults(_Speeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
+ARDUCOPTER = _Defaults(Speeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
+PX4 = _Defaults(Speeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
 
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
@@ -86,7 +88,7 @@ def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
 
 def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
     """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
-    speeds, run_m = _speeds(settings), math.hypot(begin.north_m, begin.east_m)
+    speeds, run_m = speeds_of(settings), math.hypot(begin.north_m, begin.east_m)
     return_ms, hold_s = finite_or(settings.return_ms, speeds.cruise_ms), finite_or(settings.return_hold_s, 0.0)
     above = begin._replace(height_m=_return_height_m(begin, run_m, settings))
     over_home = Point(0.0, 0.0, above.height_m)
@@ -111,7 +113,7 @@ def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> fl
 
 def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
     """Return the legs straight down from a point to the ground, the last metres slowly."""
-    speeds, defaults = _speeds(settings), _defaults(settings)
+    speeds, defaults = speeds_of(settings), _defaults(settings)
     slow_m = min(finite_or(settings.land_slow_below_m, defaults.slow_below_m), max(above.height_m, 0.0))
     low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
     fast_ms = finite_or(settings.land_fast_ms, speeds.descent_ms)
@@ -126,9 +128,10 @@ def _defaults(settings: ReturnSettings) -> _Defaults:
     return PX4 if settings.is_px4 else ARDUCOPTER
 
 
-def _speeds(settings: ReturnSettings) -> _Speeds:
+def speeds_of(settings: ReturnSettings) -> Speeds:
+    """Return the vehicle's own speeds on a route."""
     defaults = _defaults(settings).speeds
-    return _Speeds(
+    return Speeds(
         finite_or(settings.cruise_ms, defaults.cruise_ms),
         finite_or(settings.climb_ms, defaults.climb_ms),
         finite_or(settings.descent_ms, defaults.descent_ms),
@@ -142,7 +145,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     """
     if mission.reason:
         return Path(reason=mission.reason)
-    at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()
+    at, speeds, legs = Point(0.0, 0.0, 0.0), speeds_of(settings), list[Leg]()
     elsewhere = return_reason(mission, settings)
     flown = _flown(mission)
     for item in flown:
@@ -201,13 +204,13 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
     yield None
 
 
-def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _Speeds:
+def _changed(speeds: Speeds, item: MissionItem, settings: ReturnSettings) -> Speeds:
     """Return the speeds after an item that changes one; an item without a speed restores the vehicle's own."""
     kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
-    return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(_speeds(settings), kind))})
+    return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(speeds_of(settings), kind))})
 
 
-def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
+def _legs(item: MissionItem, at: Point, speeds: Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
     """Return the legs of one item, or the reason why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"
@@ -235,7 +238,7 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
 
 
-def _take_off(item: MissionItem, at: Point, to: Point, speeds: _Speeds, is_px4: bool) -> list[Leg]:
+def _take_off(item: MissionItem, at: Point, to: Point, speeds: Speeds, is_px4: bool) -> list[Leg]:
     """Return the legs of a take-off: straight up. A PX4 then flies to the item's place, an ArduCopter ignores it."""
     above = at._replace(height_m=to.height_m)
     legs, run_m = [Leg(item.seq, Phase.TAKE_OFF, at, above, 0.0, *speeds)], math.dist(at[:2], to[:2])
@@ -244,7 +247,7 @@ def _take_off(item: MissionItem, at: Point, to: Point, speeds: _Speeds, is_px4: 
     return legs
 
 
-def _turns(item: MissionItem, at: Point, centre: Point, speeds: _Speeds, settings: ReturnSettings) -> list[Leg]:
+def _turns(item: MissionItem, at: Point, centre: Point, speeds: Speeds, settings: ReturnSettings) -> list[Leg]:
     """Return the legs of turns: to the nearest point of the circle, and the circle; the centre is never flown to."""
     radius_m = abs(item.radius_m) or finite_or(settings.circle_radius_m, CIRCLE_RADIUS_M)
     begin, round_speeds = edge(centre, radius_m, at), speeds

@@ -11,6 +11,7 @@ from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import Path, path, place
+from uavbatt.prediction.route_track import Track
 from uavbatt.records import NAN
 
 OVER_HOME_M = 6.0
@@ -49,13 +50,14 @@ class Progress(NamedTuple):
     moved: Position | None = None  # position and velocity TOLD_PERIOD_S ago
     is_steady: bool = True  # the velocity is kept, so that the power is not that of a turn
     lessons: FlightLessons = FlightLessons()
+    track: Track = Track()
 
     def after(
         self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
     ) -> Progress:
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
-        moved = self._on_path(time_s, navigation)._steadied(navigation.position)
+        moved = self._on_path(time_s, navigation)._steadied(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
         moved = moved._followed(time_s, navigation, row_s) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
@@ -67,10 +69,15 @@ class Progress(NamedTuple):
         columns = terms(*flown, powers.induced_ms)
         return moved._replace(lessons=moved.lessons.with_power(powers, flown.airspeed_ms, columns, power_W, told_s))
 
-    def _steadied(self, now: Position | None) -> Progress:
+    def _steadied(self, navigation: Navigation) -> Progress:
         """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
-        is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
-        return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
+        now, home, track = navigation.position, navigation.home, self.track
+        is_steady = _is_steady(self.moved, now)
+        if 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S:
+            return self._replace(is_steady=is_steady)
+        if now is not None and home is not None:
+            track = track.after(now.time_s, place(home, now), home, navigation.mode is Mode.RETURN_BY_TRACK)
+        return self._replace(moved=now, is_steady=is_steady, track=track)
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:
         """Return the progress with the leg that the autopilot flies to, and with the timing of the legs behind."""

@@ -15,14 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
 from uavbatt.prediction.draws import Draws, Source, source_of
 from uavbatt.prediction.long_steps import STEP_S, above_cutoff_V, step_draws
-from uavbatt.prediction.route_ahead import Ahead
+from uavbatt.prediction.route_ahead import Ahead, HomeFrom
 from uavbatt.prediction.route_legs import legs_table
 from uavbatt.prediction.route_load import RouteLoad, airspeed_slopes, factors, fast_shares, roughness, wind_errors_ms
-from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_CELL_V
 
@@ -37,6 +35,7 @@ class Turning(NamedTuple):
     """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
+    home_from : the legs home from any place
     least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
     """
 
@@ -46,7 +45,7 @@ class Turning(NamedTuple):
     load: RouteLoad
     scenario: Array
     way: LegTiming
-    settings: ReturnSettings
+    home_from: HomeFrom
     least_soc: Array
 
     @property
@@ -89,7 +88,7 @@ def turn_instants(longest_s: float) -> Array:
 
 def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
-    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.settings)
+    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.home_from)
     scenarios = np.vstack([factors(asked.load), wind_errors_ms()])[:, asked.scenario]
     return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.least_soc)
 
@@ -142,9 +141,9 @@ def _above_V(draws: Draws, at: Source, power_W: Array, least_soc: Array) -> Arra
     return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))
 
 
-def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, settings: ReturnSettings) -> Homewards:
+def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, home_from: HomeFrom) -> Homewards:
     """Return the ways home from where the aircraft is at each instant."""
-    legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
+    legs = [home_from(point) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
     turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
     if not pieces.length_s.size:  # already down at home

@@ -1,0 +1,135 @@
+"""The track flown since take-off, and the way home back along it, as ArduPilot's SMART_RTL returns.
+
+The autopilot keeps places at least 2 m apart from arming on, leaves out those on a straight line and those of loops (it
+shortens where the track comes within 2 m of itself), and flies the rest back at the speed of the route, to 2 m above
+the place where it armed. While it returns it keeps no places. Source: AP_SmartRTL of ArduPilot.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.navigation import Home, ReturnSettings
+from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route_path import landing, speeds_of
+
+APART_M = 2.0  # SRTL_ACCURACY
+STRAIGHT_M = 1.0  # places so near a straight line are left out
+MOST_PLACES, MOST_CORNERS = 1000, 300  # SRTL_POINTS: with more corners the autopilot has given up
+ON_GROUND_M = 1.0
+LONGEST_GAP_S, FARTHEST_GAP_M = 10.0, 20.0  # places that are missing for longer, and farther apart, end the track
+BEGINS_AT_HOME_M = 15.0
+ABOVE_START_M = 2.0
+
+
+class Track(NamedTuple):
+    """Track holds the places flown since take-off [m], the last at `time_s`; it is a value, replaced by `after`."""
+
+    places: tuple[Point, ...] = ()
+    time_s: float = math.nan
+    home: Home | None = None  # around which the places are told
+    is_back: bool = False  # the aircraft flies back along it: no places are kept
+
+    def after(self, time_s: float, here: Point, home: Home, is_back: bool) -> Track:
+        """Return the track with one more place at `time_s` [s]; `is_back` while the aircraft returns along it."""
+        if here.height_m < ON_GROUND_M or home != self.home or self._is_broken(time_s, here):
+            return Track((here,), time_s, home)
+        if is_back:
+            return self._replace(time_s=time_s, is_back=True)
+        if math.dist(here, self.places[-1]) < APART_M:
+            return self._replace(time_s=time_s, is_back=False)
+        return Track((*self._before(here), here), time_s, home)
+
+    def _is_broken(self, time_s: float, here: Point) -> bool:
+        """Return True if it is not known how the aircraft came here."""
+        is_silent = not self.is_back and time_s - self.time_s > LONGEST_GAP_S
+        return not self.places or (is_silent and math.dist(here, self.places[-1]) > FARTHEST_GAP_M)
+
+    def _before(self, here: Point) -> tuple[Point, ...]:
+        """Return the places before the next one; none if they are too many even without loops and straight parts."""
+        if self.is_back:  # what was flown back is gone
+            return self.places[: _nearest(np.array(self.places), here) + 1]
+        if len(self.places) < MOST_PLACES:
+            return self.places
+        corners = _points(_corners(_without_loops(_dense(self.places))))
+        return corners if len(corners) <= MOST_CORNERS else ()
+
+
+class WayBack(NamedTuple):
+    """WayBack holds the track without its loops, as places about 2 m apart from take-off on [places, 3]."""
+
+    places: Array
+
+    def legs(self, here: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
+        """Return the legs from a place on the track, or near it, back to touchdown at its beginning."""
+        behind = self.places[_nearest(self.places, here) :: -1]
+        *corners, start = _points(_corners(np.vstack([here, behind])))
+        above = start._replace(height_m=min(ABOVE_START_M, here.height_m))
+        flown = [
+            Leg(-1, Phase.HOME, begin, end, math.dist(begin[:2], end[:2]), *speeds_of(settings))
+            for begin, end in pairwise((*corners, above))
+        ]
+        return tuple(leg for leg in (*flown, *landing(above, settings, -1)) if leg.moving_s > 0.0)
+
+
+@lru_cache(maxsize=2)
+def way_back(places: tuple[Point, ...]) -> WayBack | None:
+    """Return the way back along a track; None if the track does not begin at home, so that its beginning is unknown."""
+    if not places or math.hypot(*places[0][:2]) > BEGINS_AT_HOME_M:
+        return None
+    return WayBack(_without_loops(_dense(places)))
+
+
+def _points(places: Array) -> tuple[Point, ...]:
+    return tuple(Point(*place) for place in places.tolist())
+
+
+def _dense(places: tuple[Point, ...]) -> Array:
+    """Return places on the track at most APART_M apart [places, 3]."""
+    corners = np.array(places)
+    along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at_m = np.linspace(0.0, along_m[-1], math.ceil(along_m[-1] / APART_M) + 1)
+    return np.stack([np.interp(at_m, along_m, column) for column in corners.T], axis=1)
+
+
+def _without_loops(dense: Array) -> Array:
+    """Return the places of a track that goes on, from each place, at its last pass within APART_M."""
+    kept = [0]
+    while kept[-1] < len(dense) - 1:
+        onward = kept[-1] + 1
+        is_near = np.linalg.norm(dense[onward:] - dense[kept[-1]], axis=1) <= APART_M
+        kept.append(onward + int(np.flatnonzero(is_near)[-1] if is_near.any() else 0))
+    return dense[kept]
+
+
+def _corners(places: Array) -> Array:
+    """Return the corners of a track [places, 3]: no place lies far from the lines between them (Douglas-Peucker)."""
+    kept, open_parts = {0, len(places) - 1}, [(0, len(places) - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        if last - first < 2:
+            continue
+        off_m = _off_line_m(places[first + 1 : last], places[first], places[last])
+        farthest = int(np.argmax(off_m))
+        if off_m[farthest] > STRAIGHT_M:
+            middle = first + 1 + farthest
+            kept.add(middle)
+            open_parts += [(first, middle), (middle, last)]
+    return places[sorted(kept)]
+
+
+def _off_line_m(places: Array, begin: Array, end: Array) -> Array:
+    """Return the distances [m] of places from the straight line between two of them."""
+    along = end - begin
+    share = np.clip((places - begin) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(places - begin - share[:, None] * along, axis=1))
+
+
+def _nearest(places: Array, here: Point) -> int:
+    return int(np.argmin(np.linalg.norm(places - np.array(here), axis=1)))
