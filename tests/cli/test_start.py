@@ -37,6 +37,8 @@ def test_a_command_loads_only_what_it_uses(arguments: list[str], used: set[str])
 def test_the_module_is_the_command_and_names_itself_in_a_usage() -> None:
     """A machine whose scripts are not on the path has only the module; it said "cannot be directly executed"."""
     start = [sys.executable, "-m", "uavbatt"]
-    assert subprocess.run([*start, "--version"], capture_output=True, text=True, check=True).stdout.startswith("uavbatt ")
+    assert subprocess.run([*start, "--version"], capture_output=True, text=True, check=True).stdout.startswith(
+        "uavbatt "
+    )
     wrong = subprocess.run([*start, "replay", "nofile"], capture_output=True, text=True, check=False)
     assert (wrong.returncode, wrong.stderr.startswith("uavbatt: nofile: ")) == (1, True)

@@ -35,7 +35,7 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
-pytest.importorskip("numba", reason="the extra `fast` is not installed")
+numba = pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"
 CLOSE = 1e-9
 # Quotients of small differences: of millivolts that are told apart in 21 V, and of what is left of large variances.
@@ -282,6 +282,23 @@ def test_without_a_folder_to_write_to_nothing_is_compiled(monkeypatch: pytest.Mo
 def test_a_numba_that_cannot_be_imported_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)  # makes its import fail
     assert engine_for(is_long=True) is PLAIN
+
+
+def test_what_numba_cannot_compile_is_worked_out_by_numpy() -> None:
+    """Versions of numba before 0.68 did not compile the filter: the command ended in an error of the compiler."""
+    tried = []
+
+    @numba.njit
+    def unknown_to_numba(value: float) -> str:
+        return f"{value!r:>{value}}"
+
+    def fast(value: float) -> str:
+        tried.append(value)
+        return unknown_to_numba(value)
+
+    run = compiled.plain_where_it_fails(fast, lambda value: f"plain {value}")
+    assert [run(1.0), run(2.0)] == ["plain 1.0", "plain 2.0"]
+    assert tried == [1.0]  # what failed once is not compiled again
 
 
 def test_an_installation_without_the_package_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
