@@ -116,6 +116,14 @@ def test_what_ships_can_be_read_and_names_what_it_does_not_vouch_for(study: Vali
     assert any("not vouched for" in r and "-5" in r for r in read.battery.remarks)
 
 
+def test_the_low_voltage_warning_is_that_of_the_cells_kind(study: Validation) -> None:
+    """A lithium-ion pack was warned about at 3.5 V a cell, which it reaches at half its charge."""
+    assert study.battery is not None and study.battery.battery.low_V == 10.5
+    with patch.object(heldout, "circuit", return_value=study.held):
+        found = validate(replace(study.dataset, cutoff_V=8.4), close_loop=False)
+    assert found.battery is not None and found.battery.battery.low_V == 9.6
+
+
 def test_a_limit_that_the_model_does_not_meet_ships_nothing(four_runs: Validation) -> None:
     found = judged_otherwise(four_runs, Limits(voltage_V=0.01))
     assert found.verdict == "fail"

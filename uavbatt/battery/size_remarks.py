@@ -35,10 +35,15 @@ def other_kind(battery: BatteryFile, cells: int, cutoff_V: float, fullest_V: flo
     """
     if battery.status == "generic" and fullest_V > ORDINARY_FULL_V:
         return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",)
-    if battery.battery.name != GENERIC or cutoff_V >= LEAST_LIPO_ENDING_V * cells:
+    if battery.battery.name != GENERIC or not ends_as_lithium_ion(cells, cutoff_V):
         return ()
     ends = f"cut-off {cutoff_V:g} V is {cutoff_V / cells:.2f} V a cell"
     return (f"{ends}, as for lithium-ion cells: for those take the battery file `{GENERIC_LITHIUM_ION}`",)
+
+
+def ends_as_lithium_ion(cells: int, cutoff_V: float) -> bool:
+    """Return True if the cut-off of a pack [V] is so low a cell as crews set it for lithium-ion cells."""
+    return round(cutoff_V / cells, 3) < LEAST_LIPO_ENDING_V
 
 
 def uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:

@@ -17,6 +17,7 @@ from uavbatt.battery.battery_file import (
     ParameterTable,
     Verdict,
 )
+from uavbatt.battery.size_remarks import ends_as_lithium_ion
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
@@ -53,6 +54,7 @@ def battery_file(
     """
     fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held_out.ambient_C)
     cells = dataset.cells_series
+    kind = prior.LITHIUM_ION if ends_as_lithium_ion(cells, dataset.cutoff_V) else prior.LIPO
     return BatteryFile(
         battery=Battery(
             name=dataset.name,
@@ -60,7 +62,7 @@ def battery_file(
             cells_series=cells,
             capacity_Ah=fitted.capacity_Ah,
             cutoff_V=dataset.cutoff_V,
-            low_V=rounded(prior.LIPO.low_V * cells),
+            low_V=rounded(kind.low_V * cells),
             source=dataset.source,
             remarks=_remarks(fitted.capacity_Ah, claims),
         ),
