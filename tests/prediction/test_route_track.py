@@ -136,6 +136,23 @@ def test_it_lands_from_two_metres_above_its_beginning() -> None:
     assert way.pieces.length_s[way.pieces.landing].sum() == pytest.approx(2.0 / 0.5, rel=0.1)
 
 
+def test_a_curve_is_flown_through_and_takes_no_longer_than_a_straight_line() -> None:
+    """Each corner of the track was a stop: the way back along a curve was told a third too long."""
+    radius_m = 60.0
+    curve = [
+        (radius_m * math.sin(0.1 * k), radius_m * (1.0 - math.cos(0.1 * k)), 40.0) for k in range(32)
+    ]  # half a circle
+    line = [(6.0 * k, 0.0, 40.0) for k in range(32)]
+    curved, straight = (
+        home_now(flight.progress, flight.now, flight.time_s)
+        for flight in (
+            Flight().flies((0.0, 0.0, 0.0), UP, *way).flies(way[-1], mode=Mode.RETURN_BY_TRACK) for way in (curve, line)
+        )
+    )
+    assert isinstance(curved, Ahead) and isinstance(straight, Ahead)
+    assert curved.touchdown_s == pytest.approx(straight.touchdown_s, abs=3.0)
+
+
 def test_a_flight_that_went_on_after_a_return_goes_back_from_where_it_left_it() -> None:
     far, near = (300.0, 0.0, 40.0), (100.0, 0.0, 40.0)
     flight = Flight().flies((0.0, 0.0, 0.0), UP, far).flies(far, near, mode=Mode.RETURN_BY_TRACK)

@@ -18,9 +18,11 @@ from uavbatt.battery.model import Array
 from uavbatt.navigation import Home, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import landing, speeds_of
+from uavbatt.prediction.route_pieces import THROUGH
 
 APART_M = 2.0  # SRTL_ACCURACY
 STRAIGHT_M = 1.0  # places so near a straight line are left out
+STEEPER_RAD = 0.2  # change of the climb angle within one leg
 MOST_PLACES, MOST_CORNERS = 1000, 300  # SRTL_POINTS: with more corners the autopilot has given up
 ON_GROUND_M = 1.0
 LONGEST_GAP_S, FARTHEST_GAP_M = 10.0, 20.0  # places that are missing for longer, and farther apart, end the track
@@ -69,13 +71,15 @@ class WayBack(NamedTuple):
     def legs(self, here: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
         """Return the legs from a place on the track, or near it, back to touchdown at its beginning."""
         behind = self.places[_nearest(self.places, here) :: -1]
-        *corners, start = _points(_corners(np.vstack([here, behind])))
-        above = start._replace(height_m=min(ABOVE_START_M, here.height_m))
+        corners = _corners(np.vstack([here, behind]))
+        corners[-1, 2] = min(ABOVE_START_M, here.height_m)
+        parts, points = np.diff(corners, axis=0), _points(corners)
+        ends = [k for k in range(1, len(parts)) if not _is_through(parts[k - 1], parts[k])]
         flown = [
-            Leg(-1, Phase.HOME, begin, end, math.dist(begin[:2], end[:2]), *speeds_of(settings))
-            for begin, end in pairwise((*corners, above))
+            Leg(-1, Phase.HOME, points[k], points[n], float(np.hypot(*parts[k:n, :2].T).sum()), *speeds_of(settings))
+            for k, n in pairwise((0, *ends, len(parts)))
         ]
-        return tuple(leg for leg in (*flown, *landing(above, settings, -1)) if leg.moving_s > 0.0)
+        return tuple(leg for leg in (*flown, *landing(points[-1], settings, -1)) if leg.moving_s > 0.0)
 
 
 @lru_cache(maxsize=2)
@@ -122,6 +126,13 @@ def _corners(places: Array) -> Array:
             kept.add(middle)
             open_parts += [(first, middle), (middle, last)]
     return places[sorted(kept)]
+
+
+def _is_through(before: Array, after: Array) -> bool:
+    """Return True if the aircraft flies on through the corner between two parts of its track [3], as on a curve."""
+    run_m, later_m = math.hypot(*before[:2]), math.hypot(*after[:2])
+    steeper = abs(math.atan2(after[2], later_m) - math.atan2(before[2], run_m))
+    return bool(before[:2] @ after[:2] > THROUGH * run_m * later_m) and steeper < STEEPER_RAD
 
 
 def _off_line_m(places: Array, begin: Array, end: Array) -> Array:
