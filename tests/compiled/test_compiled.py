@@ -22,6 +22,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.compiled import cache as compiled_cache
+from uavbatt.compiled.fallback import plain_where_it_fails
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
@@ -296,7 +297,7 @@ def test_what_numba_cannot_compile_is_worked_out_by_numpy() -> None:
         tried.append(value)
         return unknown_to_numba(value)
 
-    run = compiled.plain_where_it_fails(fast, lambda value: f"plain {value}")
+    run = plain_where_it_fails(fast, lambda value: f"plain {value}")
     assert [run(1.0), run(2.0)] == ["plain 1.0", "plain 2.0"]
     assert tried == [1.0]  # what failed once is not compiled again
 

@@ -12,8 +12,10 @@ from route_rig import HOME, SETTINGS
 from uavbatt.estimator import Estimator
 from uavbatt.navigation import Mode, Navigation, Position
 from uavbatt.prediction.route_ahead import Ahead, home_now, why_no_home
+from uavbatt.prediction.route_legs import Point
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route_track import way_back
 from uavbatt.records import Route, Sample
 
 SPEED_MS = 5.0
@@ -167,6 +169,41 @@ def test_a_track_whose_beginning_was_not_seen_is_not_known() -> None:
     has_gap = Flight().flies((0.0, 0.0, 0.0), UP, (300.0, 0.0, 40.0))
     has_gap.time_s += 30.0
     assert "own track" in has_gap.flies((300.0, 300.0, 40.0), end).flies(end, mode=Mode.RETURN_BY_TRACK).why_not
+
+
+@pytest.mark.parametrize(("north_m", "is_known"), [(12.0, True), (18.0, False)])
+def test_a_track_that_begins_away_from_home_does_not_lead_home(north_m: float, is_known: bool) -> None:
+    end = (300.0, 0.0, 40.0)
+    flight = Flight().flies((north_m, 0.0, 0.0), (north_m, 0.0, 40.0), end).flies(end, mode=Mode.RETURN_BY_TRACK)
+    assert (flight.why_not == "") is is_known
+
+
+@pytest.mark.parametrize(("moved_m", "is_known"), [(15.0, True), (25.0, False)])
+def test_a_silence_ends_the_track_if_the_aircraft_moved_far(moved_m: float, is_known: bool) -> None:
+    far, end = (300.0, 0.0, 40.0), (300.0, 200.0, 40.0)
+    flight = Flight().flies((0.0, 0.0, 0.0), UP, far)
+    flight.time_s += 30.0
+    flight.flies((300.0, moved_m, 40.0), end).flies(end, mode=Mode.RETURN_BY_TRACK)
+    assert (flight.why_not == "") is is_known
+
+
+def test_a_silence_during_the_return_keeps_the_track() -> None:
+    far, near = (300.0, 0.0, 40.0), (100.0, 0.0, 40.0)
+    flight = Flight().flies((0.0, 0.0, 0.0), UP, far).flies(far, mode=Mode.RETURN_BY_TRACK)
+    flight.time_s += 30.0
+    assert flight.flies(near, mode=Mode.RETURN_BY_TRACK).home_m == pytest.approx(100.0, abs=3.0)
+
+
+def test_the_legs_join_from_the_aircraft_to_its_start_and_a_climb_begins_another_one() -> None:
+    corners = ((0.0, 100.0, 40.0), (0.0, 200.0, 60.0), (0.0, 300.0, 80.0), (0.0, 400.0, 80.0))
+    flight = Flight().flies((0.0, 0.0, 0.0), UP, *corners)
+    found = way_back(flight.progress.track.places)
+    assert found is not None
+    legs = found.legs(Point(*corners[-1]), SETTINGS)
+    ends = [[round(v) for v in legs[0].begin], *([round(v) for v in leg.end] for leg in legs)]
+    assert ends == [[0, 400, 80], [0, 300, 80], [0, 100, 40], [0, 0, 40], [0, 0, 2], [0, 0, 0]]
+    assert [round(leg.run_m) for leg in legs] == [100, 200, 100, 0, 0]
+    assert all(first.end == second.begin for first, second in pairwise(legs))
 
 
 def test_a_flight_after_a_landing_begins_a_new_track() -> None:

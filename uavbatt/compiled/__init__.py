@@ -9,8 +9,7 @@ imports this package, so that it may be deleted. Loading compiled code takes hal
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING
 
 from uavbatt.compiled.cache import is_available
 
@@ -19,13 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["engine", "is_available"]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
 
 @functools.cache
 def engine() -> Engine:
     """Return the engine whose functions are compiled, one for the process. Raises ImportError without numba."""
     from uavbatt.compiled import filter, forecast, openloop
+    from uavbatt.compiled.fallback import plain_where_it_fails
     from uavbatt.engine import PLAIN, Engine
 
     fast = Engine(filter.filter_window, forecast.answers, openloop.states)
@@ -34,24 +32,3 @@ def engine() -> Engine:
         plain_where_it_fails(fast.answers, PLAIN.answers),
         plain_where_it_fails(fast.states, PLAIN.states),
     )
-
-
-def plain_where_it_fails(fast: Function, plain: Function) -> Function:
-    """Return `fast`, which is replaced by `plain` for good at the first call that numba cannot compile.
-
-    A version of numba that is newer than this code may not understand a part of it. Nothing is lost then but time.
-    """
-    from numba.core.errors import NumbaError, UnsupportedBytecodeError
-
-    chosen: Callable[..., Any] = fast
-
-    @functools.wraps(fast)
-    def run(*given: Any) -> Any:
-        nonlocal chosen
-        try:
-            return chosen(*given)
-        except (NumbaError, UnsupportedBytecodeError):
-            chosen = plain
-            return plain(*given)
-
-    return cast(Function, run)

@@ -22,7 +22,7 @@ from uavbatt.prediction.route_pieces import THROUGH
 
 APART_M = 2.0  # SRTL_ACCURACY
 STRAIGHT_M = 1.0  # places so near a straight line are left out
-STEEPER_RAD = 0.2  # change of the climb angle within one leg
+STEEPER_RAD = 0.1  # change of the climb angle within one leg
 MOST_PLACES, MOST_CORNERS = 1000, 300  # SRTL_POINTS: with more corners the autopilot has given up
 ON_GROUND_M = 1.0
 LONGEST_GAP_S, FARTHEST_GAP_M = 10.0, 20.0  # places that are missing for longer, and farther apart, end the track

@@ -1,0 +1,30 @@
+"""What numba cannot compile is worked out by numpy."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def plain_where_it_fails(fast: Function, plain: Function) -> Function:
+    """Return `fast`, which is replaced by `plain` for good at the first call that numba cannot compile.
+
+    A version of numba that is newer than this code may not understand a part of it. Nothing is lost then but time.
+    """
+    chosen: Callable[..., Any] = fast
+
+    @functools.wraps(fast)
+    def run(*given: Any) -> Any:
+        nonlocal chosen
+        try:
+            return chosen(*given)
+        except (NumbaError, UnsupportedBytecodeError):
+            chosen = plain
+            return plain(*given)
+
+    return cast(Function, run)
