@@ -41,8 +41,8 @@ class Path:
         return legs_table(self.legs)
 
 
-class Speeds(NamedTuple):
-    """Speeds holds the speeds at which a leg is flown [m/s]."""
+class LegSpeeds(NamedTuple):
+    """LegSpeeds holds the speeds at which a leg is flown [m/s]."""
 
     cruise_ms: float
     climb_ms: float
@@ -52,14 +52,14 @@ class Speeds(NamedTuple):
 class _Defaults(NamedTuple):
     """_Defaults holds an autopilot's own speeds and heights, used where the vehicle does not state them."""
 
-    speeds: Speeds
+    speeds: LegSpeeds
     return_height_m: float
     land_ms: float
     slow_below_m: float
 
 
-ARDUCOPTER = _Defaults(Speeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
-PX4 = _Defaults(Speeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
+ARDUCOPTER = _Defaults(LegSpeeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
+PX4 = _Defaults(LegSpeeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
 
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
@@ -128,10 +128,10 @@ def _defaults(settings: ReturnSettings) -> _Defaults:
     return PX4 if settings.is_px4 else ARDUCOPTER
 
 
-def speeds_of(settings: ReturnSettings) -> Speeds:
+def speeds_of(settings: ReturnSettings) -> LegSpeeds:
     """Return the vehicle's own speeds on a route."""
     defaults = _defaults(settings).speeds
-    return Speeds(
+    return LegSpeeds(
         finite_or(settings.cruise_ms, defaults.cruise_ms),
         finite_or(settings.climb_ms, defaults.climb_ms),
         finite_or(settings.descent_ms, defaults.descent_ms),
@@ -204,13 +204,13 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
     yield None
 
 
-def _changed(speeds: Speeds, item: MissionItem, settings: ReturnSettings) -> Speeds:
+def _changed(speeds: LegSpeeds, item: MissionItem, settings: ReturnSettings) -> LegSpeeds:
     """Return the speeds after an item that changes one; an item without a speed restores the vehicle's own."""
     kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
     return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(speeds_of(settings), kind))})
 
 
-def _legs(item: MissionItem, at: Point, speeds: Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
+def _legs(item: MissionItem, at: Point, speeds: LegSpeeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
     """Return the legs of one item, or the reason why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"
@@ -238,7 +238,7 @@ def _legs(item: MissionItem, at: Point, speeds: Speeds, home: Home, settings: Re
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
 
 
-def _take_off(item: MissionItem, at: Point, to: Point, speeds: Speeds, is_px4: bool) -> list[Leg]:
+def _take_off(item: MissionItem, at: Point, to: Point, speeds: LegSpeeds, is_px4: bool) -> list[Leg]:
     """Return the legs of a take-off: straight up. A PX4 then flies to the item's place, an ArduCopter ignores it."""
     above = at._replace(height_m=to.height_m)
     legs, run_m = [Leg(item.seq, Phase.TAKE_OFF, at, above, 0.0, *speeds)], math.dist(at[:2], to[:2])
@@ -247,7 +247,7 @@ def _take_off(item: MissionItem, at: Point, to: Point, speeds: Speeds, is_px4: b
     return legs
 
 
-def _turns(item: MissionItem, at: Point, centre: Point, speeds: Speeds, settings: ReturnSettings) -> list[Leg]:
+def _turns(item: MissionItem, at: Point, centre: Point, speeds: LegSpeeds, settings: ReturnSettings) -> list[Leg]:
     """Return the legs of turns: to the nearest point of the circle, and the circle; the centre is never flown to."""
     radius_m = abs(item.radius_m) or finite_or(settings.circle_radius_m, CIRCLE_RADIUS_M)
     begin, round_speeds = edge(centre, radius_m, at), speeds
