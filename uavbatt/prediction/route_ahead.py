@@ -20,7 +20,7 @@ from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
-from uavbatt.prediction.route_track import way_back
+from uavbatt.prediction.route_track import WayBack, way_back
 from uavbatt.records import NAN
 
 STRAIGHT = 0.9  # share of the speed towards home: within 26 degrees of the way home
@@ -106,7 +106,7 @@ def why_no_home(progress: Progress, navigation: Navigation, time_s: float) -> st
         return "the position is not known" if navigation.position is None else "the position is stale"
     if navigation.mode is not Mode.RETURN_BY_TRACK:
         return return_reason(navigation.mission, navigation.settings)
-    if way_back(progress.track.places) is None and not _heads_home(here, navigation):
+    if _track_home(progress, navigation) is None and not _heads_home(here, navigation):
         return "the aircraft returns along its own track, which is not known from take-off on"
     return ""
 
@@ -132,16 +132,20 @@ def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ah
 
 def home_from(progress: Progress, navigation: Navigation) -> HomeFrom:
     """Return the function that gives the legs home from any place at which the aircraft turns."""
-    back = way_back(progress.track.places) if navigation.mode is Mode.RETURN_BY_TRACK else None
+    back = _track_home(progress, navigation)
     return partial(way_home if back is None else back.legs, settings=navigation.settings)
 
 
 def _legs_home(here: Point, progress: Progress, navigation: Navigation) -> tuple[Leg, ...]:
     """Return the legs home from here; a straight return has begun already if the mode says so."""
-    is_along_track = navigation.mode is Mode.RETURN_BY_TRACK and way_back(progress.track.places) is not None
-    if navigation.mode in RETURNS and not is_along_track:
+    if navigation.mode in RETURNS and _track_home(progress, navigation) is None:
         return _begun(here, navigation)
-    return tuple(home_from(progress, navigation)(here))
+    return home_from(progress, navigation)(here)
+
+
+def _track_home(progress: Progress, navigation: Navigation) -> WayBack | None:
+    """Return the way back along the own track in a return that follows it; None elsewhere, and if it is not known."""
+    return way_back(progress.track.places) if navigation.mode is Mode.RETURN_BY_TRACK else None
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:
