@@ -9,7 +9,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.prediction import voltage_bound
-from uavbatt.prediction.voltage_bound import SURE_LOOKS, VoltageBound
+from uavbatt.prediction.voltage_bound import SURE_LOOKS, FallBin, LaggingCurrents, VoltageBound, fall_left_s
 from uavbatt.records import Sample
 
 
@@ -56,3 +56,41 @@ def test_only_a_near_end_stands_where_a_look_cannot_tell(
     monkeypatch.setattr(voltage_bound, "fall_left_s", lambda *_: math.nan)
     before = VoltageBound(ends_s=(100.0 + ahead_s,) * SURE_LOOKS)
     assert before.after(Sample(100.0, 14.0, 20.0), None, generic_pack(), 0.0).left_s(100.0) == said_s
+
+
+@pytest.mark.parametrize(("ahead_s", "said_s"), [(60.0, 60.0), (150.0, 150.0), (250.0, math.inf)])
+def test_a_straight_fall_leads_to_the_cut_off_as_far_as_one_can_see(ahead_s: float, said_s: float) -> None:
+    slope = 0.3 / ahead_s  # within reach: 0.3 V above the cut-off of four cells
+    falls = [cutoff_V() + slope * (ahead_s + 70.0 - k) for k in range(71)]
+    assert left_s(falls)[-1] == pytest.approx(said_s, abs=2.0 + SURE_LOOKS)
+
+
+@pytest.mark.parametrize(("ahead_s", "is_in_sight"), [(100.0, True), (400.0, False)])
+def test_a_fall_within_its_scatter_tells_only_if_it_leads_to_the_cut_off_in_sight(
+    ahead_s: float, is_in_sight: bool
+) -> None:
+    volts = [0.3 + 0.3 / ahead_s * (60.0 - k) + 0.1 * (-1.0) ** k for k in range(61)]
+    bins = tuple(
+        FallBin(float(k), cutoff_V() + v, 20.0, LaggingCurrents(k, 20.0, 20.0), step_V=0.01)
+        for k, v in enumerate(volts)
+    )
+    assert math.isnan(fall_left_s(bins, 4.0, cutoff_V())) is is_in_sight
+
+
+def test_a_single_look_is_chance_and_several_in_a_row_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    bound, found = VoltageBound(), []
+    looks = [math.inf] * 8 + [40.0] + [math.inf] * 8 + [40.0] * 6
+    for k, look_s in enumerate(looks):
+        monkeypatch.setattr(voltage_bound, "fall_left_s", lambda *_, look_s=look_s: look_s)
+        bound = bound.after(Sample(float(k), 14.0, 20.0), None, generic_pack(), 0.0)
+        found.append(bound.left_s(float(k)))
+    assert found == [math.inf] * (17 + SURE_LOOKS - 1) + [40.0] * (7 - SURE_LOOKS)
+
+
+def test_the_lagging_currents_follow_a_step_with_their_time_constants() -> None:
+    cell = generic_pack().cell
+    fast_s, slow_s = float(cell.polarisation_tau_s), float(cell.diffusion_tau_s)
+    at_rest = LaggingCurrents().after(0.0, 0.0, cell)
+    assert at_rest.after(fast_s, 10.0, cell).fast_A == pytest.approx(10.0 * (1.0 - math.exp(-1.0)))
+    assert at_rest.after(2.0 * slow_s, 10.0, cell).slow_A == pytest.approx(10.0 * (1.0 - math.exp(-2.0)))
+    assert at_rest.after(1.0, math.nan, cell) is at_rest
