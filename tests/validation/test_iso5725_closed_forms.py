@@ -109,3 +109,39 @@ def test_printed_statistics_may_have_an_sd_of_zero_and_a_single_result():
     for sds, counts in (([-0.1, 0.0], [1, 3]), ([0.1, 0.1], [0, 3]), ([0.1, 0.1], [1.5, 3])):
         with pytest.raises(ValueError, match="expected SDs of at least 0"):
             cells.from_statistics([1.0, 1.1], sds, counts)
+
+
+@pytest.mark.parametrize(
+    ("gamma", "p", "printed"),
+    [
+        (1, 5, (0.46, 0.37, 0.32)), (1, 10, (0.32, 0.26, 0.22)), (1, 20, (0.22, 0.18, 0.16)),
+        (2, 5, (0.61, 0.58, 0.57)), (2, 10, (0.41, 0.39, 0.38)), (2, 20, (0.28, 0.27, 0.26)),
+        (5, 5, (0.68, 0.67, 0.67)), (5, 10, (0.45, 0.45, 0.45)), (5, 20, (0.31, 0.31, 0.31)),
+    ],
+)  # fmt: skip
+def test_the_uncertainty_of_a_reproducibility_is_that_of_table_1_of_iso_5725_1(gamma, p, printed):
+    """The only case that was tested had two laboratories, where a factor and a divisor of p - 1 are the same."""
+    assert [iso5725.relative_uncertainty_R(p, n, gamma) for n in (2, 3, 4)] == pytest.approx(printed, abs=0.0065)
+
+
+def test_two_samples_are_compared_as_by_the_t_test():
+    one, other = [1.0, 1.2, 1.1, 1.3], [1.4, 1.25, 1.5, 1.35]
+    found = iso5725.precision([one, other])
+    assert found.p_value == pytest.approx(stats.ttest_ind(one, other).pvalue)
+
+
+def test_without_spread_within_two_samples_the_interval_between_them_is_that_of_one_degree_of_freedom():
+    found = iso5725.precision([[1.0, 1.0], [2.0, 2.0]])
+    assert found.s_L == pytest.approx(math.sqrt(0.5))
+    assert found.s_L_interval == pytest.approx((0.446 * found.s_L, 31.9 * found.s_L), rel=2e-3)
+
+
+def test_one_sample_on_several_occasions_has_their_mean():
+    assert intermediate.crossed([[1.0], [2.0], [4.0]]).mean == pytest.approx(7.0 / 3.0)
+
+
+def test_the_mean_squares_of_a_staggered_design_of_two_laboratories():
+    found = intermediate.staggered([[1.0, 2.0, 4.0], [5.0, 6.0, 8.0]])
+    assert found.mean == pytest.approx(13.0 / 3.0)
+    assert found.mean_squares == pytest.approx((3 * (4.0 + 4.0), 2 * (2.5**2 + 2.5**2) / 6, (1.0 + 1.0) / 4))
+    assert found.dfs == (1.0, 2.0, 2.0)
