@@ -27,7 +27,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.config import HttpSection
 from uavbatt.live.web import serve
-from uavbatt.records import Sample
+from uavbatt.records import Route, Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log
 
@@ -295,6 +295,24 @@ def test_a_page_whose_events_come_late_shows_no_number(browser: Browser) -> None
     assert "this page comes 20\u202fs late" in late and "probably between" not in late
     assert "late" not in page(EVENT % (1000, "'of another process'"))
     browser.ask("Page.navigate", url="about:blank")
+
+
+@pytest.mark.parametrize("is_returning", [False, True])
+def test_an_aircraft_that_flies_home_is_not_told_when_to_turn_back(browser: Browser, is_returning: bool) -> None:
+    """The page said "Turn back in, at worst: now" on the way home."""
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    bench.fly(20.0)
+    way = Route("route", turn_back_s=90.0, turn_back_lo_s=30.0, home_soc_lo=0.2, is_returning=is_returning)
+    (report,) = bench.daemon.board.reports
+    report = replace(report, remaining=replace(report.remaining, route=way))
+    board = replace(bench.daemon.board, reports=(report,))
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: board, lambda: bench.now_s)
+    browser.open(f"http://127.0.0.1:{port}/", 390, "light")
+    shown = until(lambda: str(browser.evaluate("document.getElementById('batteries').innerText")))
+    browser.ask("Page.navigate", url="about:blank")
+    assert ("Turn back in" in shown) is not is_returning
+    assert "Home with, at worst" in shown
 
 
 def test_a_mission_that_mavproxy_loads_passes_the_proxy_and_is_understood(

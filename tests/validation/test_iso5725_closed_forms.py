@@ -9,6 +9,7 @@ from scipy import stats
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation import iso5725
 from uavbatt.validation.iso5725 import cells, intermediate, intervals, outliers, trueness
+from uavbatt.validation.judging import bands, drift
 
 # Occasion x sample: mean 10, occasions -1, 0, 1, samples -2, 2, and a rest whose rows and columns sum to 0.
 REST = np.array([[0.5, -0.5], [-0.5, 0.5], [0.0, 0.0]])
@@ -145,3 +146,37 @@ def test_the_mean_squares_of_a_staggered_design_of_two_laboratories():
     assert found.mean == pytest.approx(13.0 / 3.0)
     assert found.mean_squares == pytest.approx((3 * (4.0 + 4.0), 2 * (2.5**2 + 2.5**2) / 6, (1.0 + 1.0) / 4))
     assert found.dfs == (1.0, 2.0, 2.0)
+
+
+def test_the_components_of_curves_are_those_of_each_level_alone():
+    """The covariances over the levels have on their diagonal what the crossed model says of one level."""
+    rng = np.random.default_rng(12)
+    y = 12 + rng.normal(0, 3, (9, 1, 2)) + rng.normal(0, 2, (1, 4, 2)) + rng.normal(0, 1, (9, 4, 2))
+    found, levels = bands.components(y), [intermediate.crossed(y[:, :, level]) for level in range(2)]
+    assert np.diag(found.residual) == pytest.approx([one.s_r**2 for one in levels])
+    assert np.diag(found.occasion) == pytest.approx([one.s_occasion**2 for one in levels])
+    assert np.diag(found.sample) == pytest.approx([one.s_sample**2 for one in levels])
+    alone = bands.components(y[:, :1])
+    assert np.diag(alone.occasion) == pytest.approx([intermediate.crossed(y[:, :1, k]).s_I ** 2 for k in range(2)])
+
+
+def test_the_variance_of_simulated_tables_is_that_of_the_crossed_model():
+    rng = np.random.default_rng(13)
+    y = rng.normal(0, 3, (5, 6, 1, 1)) + rng.normal(0, 2, (5, 1, 3, 1)) + rng.normal(0, 1, (5, 6, 3, 1))
+    stated = [intermediate.crossed(table[:, :, 0]).s_R ** 2 for table in y]
+    assert bands.crossed_variance(y)[:, 0] == pytest.approx(stated)
+    pairs = y[:, :, :2]
+    assert bands.crossed_variance(pairs)[:, 0] == pytest.approx(
+        [intermediate.crossed(table[:, :, 0]).s_I ** 2 for table in pairs]
+    )
+
+
+def test_the_slope_over_runs_and_its_p_value_are_those_of_a_regression():
+    values = [1.0, 3.0, 4.5, 7.1, 7.9, 11.2]
+    found, line = drift.slope(values), stats.linregress(np.arange(6.0), values)
+    assert (found.per_run, found.standard_error, found.p_value) == pytest.approx((line.slope, line.stderr, line.pvalue))
+
+
+def test_a_table_that_does_not_vary_has_no_trend():
+    assert drift.trend_share(np.ones((5, 3))) == 0.0
+    assert drift.trend_share(np.column_stack([np.arange(5.0), np.ones(5)])) == pytest.approx(1.0)

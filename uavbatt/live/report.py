@@ -158,6 +158,7 @@ class Report:
             "instance": self.instance,
             "age_s": rounded(self.age_s(now_s), 2),
             "waiting": self.is_waiting and not stale,
+            "returning": bool(self.remaining.route and self.remaining.route.is_returning) and not stale,
             "plan_s": rounded(endurance.median_s, 1),
             "plan_lo_s": rounded(endurance.lo_s, 1),
             "plan_hi_s": rounded(endurance.hi_s, 1),

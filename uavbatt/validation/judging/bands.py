@@ -104,12 +104,12 @@ def new_curve_scores(parts: Components) -> tuple[Array, Array]:
         y, new = y + draw(sample, 1, k), new + draw(sample)
     mean = y.mean(axis=(1, 2))
     plain = y.reshape(DRAWS, o * k, size).std(axis=1, ddof=1)
-    modelled = np.sqrt(_variance(y))
+    modelled = np.sqrt(crossed_variance(y))
     gap = np.abs(new - mean)
     return _ratio(gap, modelled), _ratio(gap, plain)
 
 
-def _variance(y: Array) -> Array:
+def crossed_variance(y: Array) -> Array:
     """Return s_I² (or s_R²) per draw and level of `y[draw, occasion, sample, level]`."""
     _, o, k, _ = y.shape
     rows, columns, grand = y.mean(axis=2), y.mean(axis=1), y.mean(axis=(1, 2))
