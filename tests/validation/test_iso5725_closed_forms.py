@@ -180,3 +180,14 @@ def test_the_slope_over_runs_and_its_p_value_are_those_of_a_regression():
 def test_a_table_that_does_not_vary_has_no_trend():
     assert drift.trend_share(np.ones((5, 3))) == 0.0
     assert drift.trend_share(np.column_stack([np.arange(5.0), np.ones(5)])) == pytest.approx(1.0)
+
+
+def test_the_trend_test_of_many_runs_has_the_variance_of_random_orders():
+    """Above 60 runs S is taken for normal: here with ties of two and three."""
+    rng = np.random.default_rng(14)
+    values = np.concatenate([np.arange(60.0), np.arange(15.0), np.arange(5.0)])
+    shuffled = [drift.mann_kendall_S(rng.permutation(values)) for _ in range(4000)]
+    found = drift.mann_kendall(np.sort(values)[rng.permutation(80)])
+    z = stats.norm.isf(found.p_value / 2)
+    assert not found.exact
+    assert (abs(found.S) - 1) / z == pytest.approx(np.std(shuffled), rel=0.04)
