@@ -187,6 +187,20 @@ def test_a_silence_ends_the_track_if_the_aircraft_moved_far(moved_m: float, is_k
     assert (flight.why_not == "") is is_known
 
 
+def test_a_jump_of_the_position_ends_the_track() -> None:
+    """Ten million places would be laid on a line from here to the other side of the Earth."""
+    flight = Flight().flies((0.0, 0.0, 0.0), UP)
+    flight.flies((5e6, 0.0, 40.0)).flies((300.0, 0.0, 40.0), (400.0, 0.0, 40.0))
+    assert "own track" in flight.flies((400.0, 0.0, 40.0), mode=Mode.RETURN_BY_TRACK).why_not
+
+
+def test_a_long_return_may_be_left_far_from_where_it_began() -> None:
+    far, near = (3000.0, 0.0, 40.0), (100.0, 0.0, 40.0)
+    flight = Flight().flies((0.0, 0.0, 0.0), UP, far).flies(far, near, mode=Mode.RETURN_BY_TRACK)
+    flight.flies(near, (100.0, 50.0, 40.0)).flies((100.0, 50.0, 40.0), mode=Mode.RETURN_BY_TRACK)
+    assert flight.home_m == pytest.approx(150.0, abs=8.0)
+
+
 def test_a_silence_during_the_return_keeps_the_track() -> None:
     far, near = (300.0, 0.0, 40.0), (100.0, 0.0, 40.0)
     flight = Flight().flies((0.0, 0.0, 0.0), UP, far).flies(far, mode=Mode.RETURN_BY_TRACK)

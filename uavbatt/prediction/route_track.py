@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Home, ReturnSettings
@@ -26,6 +27,7 @@ STEEPER_RAD = 0.1  # change of the climb angle within one leg
 MOST_PLACES, MOST_CORNERS = 1000, 300  # SRTL_POINTS: with more corners the autopilot has given up
 ON_GROUND_M = 1.0
 LONGEST_GAP_S, FARTHEST_GAP_M = 10.0, 20.0  # places that are missing for longer, and farther apart, end the track
+FARTHEST_STEP_M = 1000.0  # a position farther from the last one is none
 BEGINS_AT_HOME_M = 15.0
 ABOVE_START_M = 2.0
 
@@ -49,29 +51,32 @@ class Track(NamedTuple):
         return Track((*self._before(here), here), time_s, home)
 
     def _is_broken(self, time_s: float, here: Point) -> bool:
-        """Return True if it is not known how the aircraft came here."""
-        is_silent = not self.is_back and time_s - self.time_s > LONGEST_GAP_S
-        return not self.places or (is_silent and math.dist(here, self.places[-1]) > FARTHEST_GAP_M)
+        """Return True if it is not known how the aircraft came here: after a silence, or a jump of its position."""
+        if self.is_back or not self.places:
+            return not self.places
+        farthest_m = FARTHEST_GAP_M if time_s - self.time_s > LONGEST_GAP_S else FARTHEST_STEP_M
+        return math.dist(here, self.places[-1]) > farthest_m
 
     def _before(self, here: Point) -> tuple[Point, ...]:
         """Return the places before the next one; none if they are too many even without loops and straight parts."""
         if self.is_back:  # what was flown back is gone
-            return self.places[: _nearest(np.array(self.places), here) + 1]
+            return self.places[: _part_at(np.array(self.places), here) + 1]
         if len(self.places) < MOST_PLACES:
             return self.places
-        corners = _points(_corners(_without_loops(_dense(self.places))))
-        return corners if len(corners) <= MOST_CORNERS else ()
+        corners = _corners(np.array(self.places))
+        if len(corners) > MOST_CORNERS:
+            corners = _corners(_without_loops(_dense(self.places)))
+        return _points(corners) if len(corners) <= MOST_CORNERS else ()
 
 
 class WayBack(NamedTuple):
-    """WayBack holds the track without its loops, as places about 2 m apart from take-off on [places, 3]."""
+    """WayBack holds the corners of the track without its loops, from take-off on [corners, 3]."""
 
-    places: Array
+    corners: Array
 
     def legs(self, here: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
         """Return the legs from a place on the track, or near it, back to touchdown at its beginning."""
-        behind = self.places[_nearest(self.places, here) :: -1]
-        corners = _corners(np.vstack([here, behind]))
+        corners = np.vstack([here, self.corners[_part_at(self.corners, here) :: -1]])
         corners[-1, 2] = min(ABOVE_START_M, here.height_m)
         parts, points = np.diff(corners, axis=0), _points(corners)
         ends = [k for k in range(1, len(parts)) if not _is_through(parts[k - 1], parts[k])]
@@ -87,7 +92,7 @@ def way_back(places: tuple[Point, ...]) -> WayBack | None:
     """Return the way back along a track; None if the track does not begin at home, so that its beginning is unknown."""
     if not places or math.hypot(*places[0][:2]) > BEGINS_AT_HOME_M:
         return None
-    return WayBack(_without_loops(_dense(places)))
+    return WayBack(_corners(_without_loops(_dense(places))))
 
 
 def _points(places: Array) -> tuple[Point, ...]:
@@ -104,12 +109,29 @@ def _dense(places: tuple[Point, ...]) -> Array:
 
 def _without_loops(dense: Array) -> Array:
     """Return the places of a track that goes on, from each place, at its last pass within APART_M."""
-    kept = [0]
+    last_pass, kept = _last_passes(dense).tolist(), [0]
     while kept[-1] < len(dense) - 1:
-        onward = kept[-1] + 1
-        is_near = np.linalg.norm(dense[onward:] - dense[kept[-1]], axis=1) <= APART_M
-        kept.append(onward + int(np.flatnonzero(is_near)[-1] if is_near.any() else 0))
+        kept.append(max(kept[-1] + 1, last_pass[kept[-1]]))
     return dense[kept]
+
+
+def _last_passes(dense: Array) -> NDArray[np.int64]:
+    """Return for each place the last one within APART_M, of the last places in the 27 cells of that size around it.
+
+    A track of an hour has ten thousand places: all their distances from each other took seconds.
+    """
+    cells = np.floor(dense / APART_M).astype(np.int64)
+    cells -= cells.min(axis=0) - 1
+    size = cells.max(axis=0) + 2
+    key = np.ravel_multi_index(tuple(cells.T), tuple(size))
+    order = np.argsort(key, kind="stable")
+    last = np.arange(len(dense))
+    for shift in product((-1, 0, 1), repeat=3):
+        there = np.ravel_multi_index(tuple((cells + shift).T), tuple(size))
+        found = order[np.searchsorted(key, there, side="right", sorter=order) - 1]  # the last place in that cell
+        is_near = (key[found] == there) & (np.linalg.norm(dense[found] - dense, axis=1) <= APART_M)
+        last = np.where(is_near, np.maximum(last, found), last)
+    return last
 
 
 def _corners(places: Array) -> Array:
@@ -135,12 +157,13 @@ def _is_through(before: Array, after: Array) -> bool:
     return bool(before[:2] @ after[:2] > THROUGH * run_m * later_m) and steeper < STEEPER_RAD
 
 
+def _part_at(corners: Array, here: Point) -> int:
+    """Return the index of the part of a line through corners [corners, 3] that is nearest to a place."""
+    return int(np.argmin(_off_line_m(np.array(here), corners[:-1], corners[1:]))) if len(corners) > 1 else 0
+
+
 def _off_line_m(places: Array, begin: Array, end: Array) -> Array:
-    """Return the distances [m] of places from the straight line between two of them."""
-    along = end - begin
-    share = np.clip((places - begin) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(places - begin - share[:, None] * along, axis=1))
-
-
-def _nearest(places: Array, here: Point) -> int:
-    return int(np.argmin(np.linalg.norm(places - np.array(here), axis=1)))
+    """Return the distance [m] of each place from its straight part of a track; either may be one or many [..., 3]."""
+    along, from_begin = end - begin, places - begin
+    share = np.clip((from_begin * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-9), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(from_begin - share[..., None] * along, axis=-1))
