@@ -9,7 +9,8 @@ import pytest
 from packs.made import DAY_S, FIRST_UTC_S, flight
 
 from uavbatt.packs.ageing import history, prior
-from uavbatt.packs.findings import between, by_itself
+from uavbatt.packs.findings import another, between, by_itself, sudden
+from uavbatt.packs.records import PackFinding
 from uavbatt.packs.words import flight_line, trend_words
 
 
@@ -53,3 +54,28 @@ def test_another_battery_file_makes_a_remembered_pack_less_sure() -> None:
     known = history([flight(k, charge=0.85) for k in range(4)])[-1].known
     same, other = (np.diag(prior(known, 3.0, other_file).covariance) for other_file in (False, True))
     assert np.all(other > same) and np.all(same > np.diag(known.covariance)[:2])
+
+
+@pytest.mark.parametrize(
+    ("finding", "words"),
+    [
+        (sudden(np.array([5.0, -1.0]), np.log([1.3, 0.95])), "30 % more resistance at once: damaged?"),
+        (sudden(np.array([1.0, -5.0]), np.log([1.02, 0.8])), "20 % less charge at once: damaged?"),
+        (another(np.array([-5.0, 1.0]), np.log([0.6, 1.02])), "40 % less resistance at once, which no pack can do"),
+        (another(np.array([-1.0, 5.0]), np.log([0.98, 1.25])), "25 % more charge at once, which no pack can do"),
+    ],
+)
+def test_a_change_is_told_by_the_quantity_that_is_further_off(finding: PackFinding, words: str) -> None:
+    assert finding.words.startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("ohm", "charge", "words"),
+    [(1.5, 1.0, "% more resistance"), (0.5, 1.0, "% less resistance"), (1.0, 0.6, "% less charge")],
+)
+def test_a_change_in_a_history_is_told_with_its_size(ohm: float, charge: float, words: str) -> None:
+    """The expected state of a pack that does not change is that of its flights before."""
+    found = history([*(flight(k) for k in range(5)), flight(5, ohm, charge)])[-1]
+    said = next(finding.words for finding in found.findings if words in finding.words)
+    changed = abs(ohm - 1.0) or abs(charge - 1.0)
+    assert float(said.partition(" %")[0]) == pytest.approx(100.0 * changed, abs=6.0)

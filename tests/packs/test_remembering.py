@@ -53,6 +53,22 @@ def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
     assert math.exp(record.told.log_ohm) == pytest.approx(type_ohm(PACK) * GROWN / FADED, rel=0.10)
 
 
+@pytest.mark.parametrize("weakest", [1, 3])
+def test_the_weak_cell_of_a_flight_is_counted_from_one(weakest: int) -> None:
+    """Of the last third of the rows, where a weak cell shows."""
+    flown_rows = flight(1, share=0.4)
+    below_V = [0.12 if number == weakest else 0.0 for number in (1, 2, 3)]
+    early, late = (0.0, 0.3, 0.0), tuple(below_V)
+    half = len(flown_rows.samples) // 2
+    samples = tuple(
+        replace(s, cell_voltages_V=tuple(s.voltage_V / 3.0 - below for below in (early if k < half else late)))
+        for k, s in enumerate(flown_rows.samples)
+    )
+    found = remembering.flight_for_ledger(BATTERY, OPTIONS, replace(flown_rows, samples=samples)).record
+    assert found.weak_cell == weakest
+    assert found.weak_cell_V == pytest.approx(0.08, abs=1e-6)  # 0.12 V below the others, 0.08 V below the mean
+
+
 def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
     part = remembering.flight_for_ledger(BATTERY, OPTIONS, flight(1, share=0.5)).record
     assert part.told.variance_Ah > 4.0 * record.told.variance_Ah
