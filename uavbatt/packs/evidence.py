@@ -51,7 +51,7 @@ def evidence_of_flight(
     """
     # An unknown make's discrepancy is mostly its open-circuit voltage, which is no resistance.
     ohms_per_V = 0.0 if is_generic else _ohms_per_volt(pack)
-    said = _with_rest(_under_load(pack, loaded, ohms_per_V), loaded[-1], last)
+    said = with_rest(_under_load(pack, loaded, ohms_per_V), loaded[-1], last)
     log_ohm, log_Ah, covariance = health_of(pack, said)[:3]
     away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
@@ -68,7 +68,7 @@ def _under_load(pack: Pack, loaded: Sequence[Belief], ohms_per_V: float) -> Scal
     instant say of the capacity is passed on to the resistance.
     """
     prior = _prior(pack, ohms_per_V)
-    said = [_without_prior(_scales(belief, ohms_per_V), prior) for belief in loaded]
+    said = [without_prior(_scales(belief, ohms_per_V), prior) for belief in loaded]
     flat = [s for s, belief in zip(said, loaded, strict=True) if belief.mean[X.SOC] > LEAST_SOC_FOR_OHMS]
     best = min(flat or said[:1], key=lambda s: float(s.covariance[0, 0]))
     return _with_capacity(best, said[-1])
@@ -106,7 +106,7 @@ def _scales(belief: Belief, ohms_per_V: float) -> Scales:
     return Scales(read @ belief.mean, read @ belief.covariance @ read.T)
 
 
-def _without_prior(belief: Scales, prior: Scales) -> Scales:
+def without_prior(belief: Scales, prior: Scales) -> Scales:
     """Return the evidence in a belief without its prior, worked out along the principal axes.
 
     On an axis where the belief is hardly better than the prior, its distance from the prior is chance: that distance
@@ -122,7 +122,7 @@ def _without_prior(belief: Scales, prior: Scales) -> Scales:
     )
 
 
-def _with_rest(said: Scales, loaded: Belief, last: Belief) -> Scales:
+def with_rest(said: Scales, loaded: Belief, last: Belief) -> Scales:
     """Return the evidence with what the rested voltage after landing adds about the capacity."""
     k = X.LOG_CAPACITY
     before, after = float(loaded.covariance[k, k]), float(last.covariance[k, k])
