@@ -12,7 +12,7 @@ from uavbatt.mavlink.fields import AUTOPILOT_PX4
 from uavbatt.navigation import Mode
 
 AUTOPILOT_ARDUPILOT = 3
-_MULTIROTORS = frozenset((2, 3, 4, 13, 14, 15, 29, 35))  # MAV_TYPE: quadrotor, coaxial, helicopter, hexa, octo, tri ...
+_MULTIROTORS = frozenset((2, 3, 4, 13, 14, 15, 29, 35, 43))  # MAV_TYPE of all that have rotors only
 
 _COPTER = {  # number: (its name, as old text logs print it; what it is here)
     0: ("STABILIZE", Mode.MANUAL),
@@ -41,6 +41,7 @@ _COPTER = {  # number: (its name, as old text logs print it; what it is here)
     26: ("AUTOROTATE", Mode.LAND),
     27: ("AUTO_RTL", Mode.MISSION),  # AUTO from the mission's landing sequence on
     28: ("TURTLE", Mode.MANUAL),
+    29: ("RATE_ACRO", Mode.MANUAL),
 }
 _COPTER_NAMES = dict(_COPTER.values())
 _PX4_AUTO = 4
