@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from types import SimpleNamespace
 
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+import uavbatt
 from uavbatt.navigation import Action, Mode
 from uavbatt.telemetry.route.commands import Fields, mission_item
 from uavbatt.telemetry.route.modes import copter_mode, copter_mode_named, mode_of
@@ -101,3 +104,15 @@ def test_the_vehicles_whose_modes_are_known_are_those_with_rotors() -> None:
     for number, entry in dialect.enums["MAV_TYPE"].items():
         said = SimpleNamespace(type=number, autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode=3)
         assert (mode_of(said) is Mode.MISSION) is (entry.name.removeprefix("MAV_TYPE_") in rotors), entry.name
+
+
+def test_each_constant_that_is_named_as_a_message_has_its_number() -> None:
+    found = 0
+    for part in pkgutil.walk_packages(uavbatt.__path__, "uavbatt."):
+        if part.name.startswith(("uavbatt.telemetry", "uavbatt.mavlink", "uavbatt.live", "uavbatt.simulate")):
+            for name, value in vars(importlib.import_module(part.name)).items():
+                number = getattr(dialect, f"MAVLINK_MSG_ID_{name.lstrip('_')}", None)
+                if isinstance(value, int) and number is not None and number >= 0:
+                    found += 1
+                    assert value == number, f"{part.name}.{name}"
+    assert found > 30
