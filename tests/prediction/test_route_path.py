@@ -209,3 +209,24 @@ def test_what_is_not_understood_makes_the_route_unknown(item: MissionItem, words
 def test_a_height_above_the_sea_needs_that_of_home() -> None:
     found = path(mission(to(1, 100.0, 0.0, 440.0, frame=Frame.SEA)), replace(HOME, alt_m=math.nan), SETTINGS)
     assert "above the sea" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("is_px4", "route_s", "home_s"),
+    [
+        (False, 500 / 5.0 + 60 / 2.5, 500 / 5.0 + (70 - 10) / 1.5 + 10 / 0.5),
+        (True, 500 / 5.0 + 60 / 3.0, 500 / 5.0 + (70 - 5) / 1.5 + 5 / 0.7),
+    ],
+)
+def test_what_the_vehicle_does_not_state_is_its_autopilots_default(is_px4: bool, route_s: float, home_s: float) -> None:
+    """Up 60 m, along 500 m climbing 10 m, and home: the speeds are the defaults of the parameters."""
+    take_off = MissionItem(1, Action.TAKEOFF, HOME.lat_deg, HOME.lon_deg, 60.0)
+    back = MissionItem(3, Action.RETURN)
+    found = path(mission(take_off, to(2, 500.0, 0.0, 70.0), back), HOME, ReturnSettings(is_px4=is_px4))
+    assert sum(leg.moving_s for leg in found.legs if leg.seq < 3) == pytest.approx(route_s)
+    assert sum(leg.moving_s for leg in found.legs if leg.seq == 3) == pytest.approx(home_s)
+
+
+def test_a_place_without_a_latitude_or_without_a_longitude_is_where_the_aircraft_is() -> None:
+    half = replace(to(2, 0.0, 400.0, 50.0), lat_deg=math.nan)
+    assert path(mission(to(1, 300.0, 100.0, 50.0), half), HOME, SETTINGS).legs[1].run_m == 0.0

@@ -11,7 +11,7 @@ import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery.powers import TURN_S, power, terms
-from uavbatt.navigation import Action, Mode, Navigation, Position
+from uavbatt.navigation import Action, MissionItem, Mode, Navigation, Position
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_legs import Point
 from uavbatt.prediction.route_load import WIND_SD_MS, RouteLoad, airspeed_slopes, factors, wind_errors_ms
@@ -179,3 +179,29 @@ def test_the_wind_is_drawn_beside_level_fast_flight_and_time() -> None:
     drawn = np.vstack([np.log(factors(load_at(15.0))), wind_errors_ms()])
     assert np.corrcoef(drawn) == pytest.approx(np.eye(4), abs=1e-9)
     assert drawn[3].std() == pytest.approx(WIND_SD_MS) and drawn[3].mean() == pytest.approx(0.0, abs=1e-9)
+
+
+def on_item(found: MissionItem, north_m: float, time_s: float) -> Ahead:
+    """What is ahead of an aircraft so far north of home, at a time, on the first item of a mission."""
+    north = Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, HOME.lon_deg, 30.0, SPEED_MS, 0.0, 0.0)
+    now = replace(flying(Mode.MISSION), mission=mission(found), current_heard_s=time_s, position=north)
+    progress = Progress()
+    for at_s in (0.0, time_s):
+        progress = progress.after(at_s, replace(now, position=replace(north, time_s=at_s)))
+    said = ahead(progress, now, time_s)
+    assert isinstance(said, Ahead), said
+    return said
+
+
+def first_item_s(found: Ahead) -> float:
+    return float(found.pieces.length_s[found.pieces.seq == 1].sum())
+
+
+@pytest.mark.parametrize("action", [Action.WAYPOINT, Action.SPLINE])
+def test_the_rest_of_a_leg_is_as_long_as_what_lies_ahead_of_the_aircraft(action: Action) -> None:
+    """The rest of a curve is longer than the line to its end, in the same ratio as the whole curve."""
+    item = to(1, 1000.0, 0.0, 30.0, action=action)
+    left_s = [first_item_s(on_item(item, north_m, 60.0)) for north_m in (200.0, 600.0, 800.0)]
+    lengthened = 1.06 if action is Action.SPLINE else 1.0
+    assert left_s[0] - left_s[1] == pytest.approx(lengthened * 1.03 * 400.0 / SPEED_MS, rel=0.01)
+    assert left_s[1] - left_s[2] == pytest.approx(lengthened * 1.03 * 200.0 / SPEED_MS, rel=0.01)

@@ -58,6 +58,7 @@ class _Defaults(NamedTuple):
     slow_below_m: float
 
 
+# ArduCopter 4.6 flies 10 m/s by default; the 5 m/s of older versions tell no way home too short.
 ARDUCOPTER = _Defaults(LegSpeeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
 PX4 = _Defaults(LegSpeeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
 
