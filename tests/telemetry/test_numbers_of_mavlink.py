@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 import uavbatt
 from uavbatt.navigation import Action, Mode
+from uavbatt.telemetry.formats import tlog_route
 from uavbatt.telemetry.route.commands import Fields, mission_item
 from uavbatt.telemetry.route.modes import copter_mode, copter_mode_named, mode_of
 
@@ -116,3 +117,28 @@ def test_each_constant_that_is_named_as_a_message_has_its_number() -> None:
                     found += 1
                     assert value == number, f"{part.name}.{name}"
     assert found > 30
+
+
+SIZES = {"int8_t": 1, "uint8_t": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4,
+         "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip
+KINDS = {"i": "int", "u": "uint", "f": "float"}
+
+
+def on_the_wire(message_id: int) -> dict[str, tuple[int, str]]:
+    """Offset and type of each field of a message, by the order in which pymavlink packs them."""
+    message, found, offset = dialect.mavlink_map[message_id], dict[str, tuple[int, str]](), 0
+    type_of = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+    for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
+        found[name] = (offset, type_of[name])
+        offset += SIZES[type_of[name]] * max(length, 1)
+    return found
+
+
+@pytest.mark.parametrize("message_id", tlog_route.LAYOUTS)
+def test_the_fields_of_a_log_lie_where_pymavlink_puts_them(message_id: int) -> None:
+    layout, expected = tlog_route.LAYOUTS[message_id], on_the_wire(message_id)
+    assert layout.fields is not None
+    newer = {"mission_id"}  # an extension that came after some releases of pymavlink
+    for name in layout.fields.keys() - (newer - expected.keys()):
+        kind, offset = layout.fields[name][:2]
+        assert (offset, f"{KINDS[kind.kind]}{'' if kind.kind == 'f' else f'{8 * kind.itemsize}_t'}") == expected[name]
