@@ -104,3 +104,23 @@ def test_a_flag_that_is_wrong_for_a_moment_under_full_load_begins_no_flight(rows
     flapped = after(after(flown, rows, 300.0, armed=False), 5, 300.0, armed=True)
     assert flapped.took_off_s == flown.took_off_s and flapped.flown_s == flown.flown_s + rows + 5
     assert flapped.load.history == after(flown, rows + 5, 300.0, armed=True).load.history
+
+
+def test_a_past_on_another_clock_goes_on_as_it_would_have() -> None:
+    """The vehicle's clock was set in flight: everything that has a time moves with it."""
+    past = after(after(FlightSoFar(), 60, 300.0, armed=True), 10, 40.0, armed=True)
+    there = after(past.moved(5000.0), 200, 280.0, armed=True)
+    here = after(past, 200, 280.0, armed=True).moved(5000.0)
+    assert there[1:] == pytest.approx(here[1:])
+    assert there.load[:3] == pytest.approx(here.load[:3])
+    assert there.load.history == here.load.history
+
+
+@pytest.mark.parametrize("row_s", [0.2, 1.0, 2.5])
+def test_the_distance_of_the_rows_is_learned_from_them(row_s: float) -> None:
+    past = FlightSoFar()
+    for k in range(60):
+        past = past.after(Sample(k * row_s, VOLTS, 20.0, armed=True), 320.0, 4.0)
+    assert past.row_s == pytest.approx(row_s)
+    assert past.rate_c == pytest.approx(4.0)
+    assert past.after(Sample(60 * row_s + 500.0, VOLTS, 20.0, armed=True), 320.0, 4.0).row_s == past.row_s  # a gap
