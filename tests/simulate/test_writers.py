@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,9 @@ FLIGHT = (
 
 
 def messages(path: Path, *kinds: str) -> Iterator[Any]:
-    log = mavutil.mavlink_connection(str(path))
-    while (message := log.recv_match(type=list(kinds) or None)) is not None:
-        yield message
+    with closing(mavutil.mavlink_connection(str(path))) as log:
+        while (message := log.recv_match(type=list(kinds) or None)) is not None:
+            yield message
 
 
 def test_tlog_reads_back(tmp_path: Path) -> None:

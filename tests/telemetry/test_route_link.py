@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from factories import generic_pack
@@ -29,11 +30,12 @@ FIELDS = ("mode", "mission", "current", "reached", "home", "position", "wind", "
 
 def heard(path: Path) -> tuple[Navigation, ...]:
     """What the listener of the live link knows at each instant, message by message as pymavlink decodes them."""
-    link, listener = mavutil.mavlink_connection(str(path)), NavigationListener(keeps_all=True)
-    while (message := link.recv_match()) is not None:
-        is_vehicle = (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
-        take = listener.take if is_vehicle else listener.take_other
-        take(message._timestamp, message.get_msgId(), message)
+    listener = NavigationListener(keeps_all=True)
+    with closing(mavutil.mavlink_connection(str(path))) as link:
+        while (message := link.recv_match()) is not None:
+            is_vehicle = (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
+            take = listener.take if is_vehicle else listener.take_other
+            take(message._timestamp, message.get_msgId(), message)
     return listener.builder.timeline()
 
 

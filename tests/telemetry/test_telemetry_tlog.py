@@ -6,6 +6,7 @@ import gzip
 import math
 import random
 import struct
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -226,11 +227,12 @@ def test_real_tlogs_agree_with_pymavlink(shared_data: Path, number: int) -> None
     from pymavlink import mavutil
 
     path = shared_data / f"truth/reference/r0/flight_{number}.tlog"
-    log, rows, first_s = mavutil.mavlink_connection(str(path)), [], None
-    while (message := log.recv_match()) is not None:
-        first_s = message._timestamp if first_s is None else first_s
-        if message.get_type() == "BATTERY_STATUS":
-            rows.append((round(message._timestamp - first_s, 3), message.voltages[0], message.current_battery))
+    rows, first_s = [], None
+    with closing(mavutil.mavlink_connection(str(path))) as log:
+        while (message := log.recv_match()) is not None:
+            first_s = message._timestamp if first_s is None else first_s
+            if message.get_type() == "BATTERY_STATUS":
+                rows.append((round(message._timestamp - first_s, 3), message.voltages[0], message.current_battery))
     flight = read_log(path)
     assert [
         (round(s.time_s, 3), round(s.voltage_V * 1000), -1 if math.isnan(s.current_A) else round(s.current_A * 100))
