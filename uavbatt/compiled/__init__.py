@@ -26,9 +26,8 @@ def engine() -> Engine:
     from uavbatt.compiled.fallback import plain_where_it_fails
     from uavbatt.engine import PLAIN, Engine
 
-    fast = Engine(filter.filter_window, forecast.answers, openloop.states)
     return Engine(
-        plain_where_it_fails(fast.filter_window, PLAIN.filter_window),
-        plain_where_it_fails(fast.answers, PLAIN.answers),
-        plain_where_it_fails(fast.states, PLAIN.states),
+        plain_where_it_fails(filter.filter_window, PLAIN.filter_window),
+        plain_where_it_fails(forecast.answers, PLAIN.answers),
+        plain_where_it_fails(openloop.states, PLAIN.states),
     )

@@ -1,4 +1,4 @@
-"""What numba cannot compile is worked out by numpy."""
+"""Fallback from compiled functions to their numpy form, for a numba that cannot compile them."""
 
 from __future__ import annotations
 

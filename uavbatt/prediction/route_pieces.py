@@ -146,15 +146,19 @@ def _share(part: Array, of: Array) -> Array:
     return np.divide(part, of, out=np.zeros_like(of), where=of > 0.0)
 
 
+def keeps_speed(north_m: Array, east_m: Array) -> Column:
+    """Return True for each corner [parts - 1] of a way, by its parts north and east [parts], that is not sharp."""
+    length_m = np.hypot(north_m, east_m)
+    along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]
+    return np.asarray(along_m2 > THROUGH * length_m[1:] * length_m[:-1])
+
+
 def _stops_before(leg: LegsTable) -> Column:
     """Return True for each leg that begins from rest: after a wait, or after a sharp corner.
 
     A circle begins across the way to it, and may be left in any direction.
     """
-    north_m, east_m = leg.north_m, leg.east_m
-    length_m = np.hypot(north_m, east_m)
-    along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]
-    is_through = (along_m2 > THROUGH * length_m[1:] * length_m[:-1]) & ~(leg.hold_s[:-1] > 0.0)
+    is_through = keeps_speed(leg.north_m, leg.east_m) & ~(leg.hold_s[:-1] > 0.0)
     is_curve = _is_curve(leg)
     is_through &= ~(is_curve[1:] | is_curve[:-1])
-    return np.concatenate([np.ones(min(length_m.size, 1), bool), ~is_through])
+    return np.concatenate([np.ones(min(leg.run_m.size, 1), bool), ~is_through])

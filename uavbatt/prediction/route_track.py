@@ -19,7 +19,7 @@ from uavbatt.battery.model import Array
 from uavbatt.navigation import Home, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import landing, speeds_of
-from uavbatt.prediction.route_pieces import THROUGH
+from uavbatt.prediction.route_pieces import Column, keeps_speed
 
 APART_M = 2.0  # SRTL_ACCURACY
 STRAIGHT_M = 1.0  # places so near a straight line are left out
@@ -79,7 +79,7 @@ class WayBack(NamedTuple):
         corners = np.vstack([here, self.corners[_part_at(self.corners, here) :: -1]])
         corners[-1, 2] = min(ABOVE_START_M, here.height_m)
         parts, points = np.diff(corners, axis=0), _points(corners)
-        ends = [k for k in range(1, len(parts)) if not _is_through(parts[k - 1], parts[k])]
+        ends = np.flatnonzero(~_is_through(parts)) + 1
         flown = [
             Leg(-1, Phase.HOME, points[k], points[n], float(np.hypot(*parts[k:n, :2].T).sum()), *speeds_of(settings))
             for k, n in pairwise((0, *ends, len(parts)))
@@ -150,11 +150,11 @@ def _corners(places: Array) -> Array:
     return places[sorted(kept)]
 
 
-def _is_through(before: Array, after: Array) -> bool:
-    """Return True if the aircraft flies on through the corner between two parts of its track [3], as on a curve."""
-    run_m, later_m = math.hypot(*before[:2]), math.hypot(*after[:2])
-    steeper = abs(math.atan2(after[2], later_m) - math.atan2(before[2], run_m))
-    return bool(before[:2] @ after[:2] > THROUGH * run_m * later_m) and steeper < STEEPER_RAD
+def _is_through(parts: Array) -> Column:
+    """Return True for each corner between the parts of a track [parts, 3] that is flown through, as on a curve."""
+    north_m, east_m, up_m = parts.T
+    steeper_rad = np.abs(np.diff(np.arctan2(up_m, np.hypot(north_m, east_m))))
+    return np.asarray(keeps_speed(north_m, east_m) & (steeper_rad < STEEPER_RAD))
 
 
 def _part_at(corners: Array, here: Point) -> int:
