@@ -8,8 +8,9 @@ altitude counts from one of the levels in `Frame`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from uavbatt.nan_equal import nan_equal
 
@@ -140,9 +141,21 @@ class ReturnSettings:
     circle_radius_m: float = NAN  # of turns whose item has no radius (CIRCLE_RADIUS)
     circle_rate_deg_s: float = NAN  # fastest turn on a circle, negative anticlockwise (CIRCLE_RATE)
     acceleration_ms2: float = NAN  # on the route (WPNAV_ACCEL)
+    seen_ms: float = NAN  # the speed that it keeps on its route, for a vehicle that does not state its cruise
     return_reason: str = ""  # why the way home is not straight, if it is not (rally points)
     landing_reason: str = ""  # why it is not, if the mission lands by itself: the vehicle may fly to that landing
     is_px4: bool = False  # what is not known is PX4's default, else ArduCopter's
+
+
+UNSTATED = ReturnSettings()
+
+
+@lru_cache(maxsize=8)  # each row of a flight asks for the same one
+def completed(stated: ReturnSettings, usual: ReturnSettings) -> ReturnSettings:
+    """Return the settings that a vehicle states, with the `usual` speeds and heights where it states none."""
+    values = ((field.name, getattr(stated, field.name)) for field in fields(stated))
+    unknown = [name for name, value in values if isinstance(value, float) and math.isnan(value)]
+    return replace(stated, **{name: getattr(usual, name) for name in unknown})
 
 
 @nan_equal
@@ -186,15 +199,23 @@ class Navigation:
     current_heard_s: float = NAN  # last time that the autopilot said so: silence makes progress stale
     reached: int | None = None  # last MISSION_ITEM_REACHED
     home: Home | None = None
-    settings: ReturnSettings = ReturnSettings()
+    settings: ReturnSettings = UNSTATED
     position: Position | None = None
     wind: Wind | None = None
     landed: bool | None = None  # EXTENDED_SYS_STATE
     transferring: bool = False  # a mission is being transferred and is not complete yet
 
-    def with_plan(self, mission: Mission, home: Home | None) -> Navigation:
-        """Return the same with a mission from a file, which has priority; its home counts where none is heard."""
-        return replace(self, mission=mission, home=self.home or home, transferring=False)
+    def with_plan(self, mission: Mission, home: Home | None, usual: ReturnSettings) -> Navigation:
+        """Return the same with a mission from a file, which has priority.
+
+        The file's home and its `usual` speeds count where the vehicle states none.
+        """
+        settings = completed(self.settings, usual)
+        return replace(self, mission=mission, home=self.home or home, settings=settings, transferring=False)
+
+    def with_usual(self, usual: ReturnSettings) -> Navigation:
+        """Return the same with the `usual` speeds and heights of the vehicle where it states none."""
+        return replace(self, settings=completed(self.settings, usual))
 
     @property
     def has_way(self) -> bool:

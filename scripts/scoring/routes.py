@@ -30,6 +30,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, steps
+from uavbatt.navigation import UNSTATED
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import LearnedLoad, learned_load
@@ -62,6 +63,7 @@ class Mission:
     name: str
     answer: dict[str, Any]
     run: list[ReplayedRow]
+    unstated: list[ReplayedRow]  # the same, if neither vehicle nor vehicle file states speeds and heights
     peers: dict[str, Lines]  # seconds until one must turn back
 
 
@@ -143,13 +145,19 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
         say(f"routes: {path.stem}")
         flight, answer = read_log(path), _answer(answers, path.stem)
         run = _run(flight, known, known.library)
-        missions.append(Mission(path.stem, answer, run, turn_lines(known.peers, flight)))
+        missions.append(Mission(path.stem, answer, run, _unstated(flight, known), turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
         start_s, _ = _span_s(flight, truth.CUTOFF_V, 2.0)
         for method, score in _scored(flight, known, (start_s, answer["end_s"]), run).items():
             scores.setdefault(method, []).append(score)
     return missions, scores
+
+
+def _unstated(flight: Flight, known: Known) -> list[ReplayedRow]:
+    """Return the flight as it is forecast where no parameter of the vehicle was ever heard."""
+    heard = tuple(replace(now, settings=UNSTATED) for now in flight.navigation)
+    return _run(replace(flight, navigation=heard), known, replace(known.library, usual=UNSTATED))
 
 
 def _answer(folder: Path, name: str) -> dict[str, Any]:
@@ -173,8 +181,8 @@ def _errors(title: str, found: dict[str, list[FlightScore]]) -> list[Table]:
     return [grid(f"{title}: {flights} flights with an end", INSTANTS, rows, "Seconds before the end.")]
 
 
-def _in_force(mission: Mission, time_s: float) -> Route | None:
-    said = [step.remaining for step in mission.run if step.remaining.time_s <= time_s + 1e-6]
+def _in_force(run: list[ReplayedRow], time_s: float) -> Route | None:
+    said = [step.remaining for step in run if step.remaining.time_s <= time_s + 1e-6]
     return said[-1].route if said else None
 
 
@@ -182,9 +190,11 @@ def _turn_backs(missions: list[Mission]) -> Table:
     """Return errors of the turn-back at instants before the true one, and the time of the first "turn back now"."""
     head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "turn back now")
     there = [m for m in missions if m.answer["turn_back_s"] is not None]
-    found = [_turn_back(mission) for mission in there]
+    found = [_turn_back(mission, mission.run) for mission in there]
+    unstated = [_turn_back(mission, mission.unstated) for mission in there]
     rows = [(mission.name, one.cells) for mission, one in zip(there, found, strict=True)]
     rows.append((f"{ROUTE}: MAE [s]", _turn_back_means(found)))
+    rows.append((f"{ROUTE}, no parameters heard: MAE [s]", _turn_back_means(unstated)))
     for peer in there[0].peers:
         rows.append((f"{peer}: MAE [s]", _turn_back_means([_peer_turn_back(mission, peer) for mission in there])))
     note = "Positive: too late. No number counts as 0. In the last column the peers' zero, without an interval."
@@ -206,12 +216,12 @@ class TurnBackErrors(NamedTuple):
         return [*(figure(error_s, sign=True) for error_s in self.errors_s), f"{figure(self.alarm_s, sign=True)} s"]
 
 
-def _turn_back(mission: Mission) -> TurnBackErrors:
+def _turn_back(mission: Mission, run: list[ReplayedRow]) -> TurnBackErrors:
     true_s, errors = mission.answer["turn_back_s"], []
     for before_s in BEFORE_TURN_S:
-        route = _in_force(mission, true_s - before_s)
+        route = _in_force(run, true_s - before_s)
         errors.append(route.turn_back_s - before_s if route is not None else math.nan)
-    return TurnBackErrors(tuple(errors), _alarm_s(mission) - true_s)
+    return TurnBackErrors(tuple(errors), _alarm_s(run) - true_s)
 
 
 def _peer_turn_back(mission: Mission, peer: str) -> TurnBackErrors:
@@ -235,12 +245,12 @@ def _turn_back_means(found: list[TurnBackErrors]) -> list[str]:
     return [*(figure(mean) for mean in means), f"early in {early} of {len(found)}, late by > {LATE_S:.0f} s in {late}"]
 
 
-def _alarm_s(mission: Mission) -> float:
+def _alarm_s(run: list[ReplayedRow]) -> float:
     """Return the time of the first 'turn back now'; the end of the flight if there is none."""
-    said = (s.remaining for s in mission.run if s.remaining.route is not None)
+    said = (s.remaining for s in run if s.remaining.route is not None)
     return next(
         (r.time_s for r in said if r.route is not None and r.route.must_turn_back_now),
-        mission.run[-1].remaining.time_s,
+        run[-1].remaining.time_s,
     )
 
 
@@ -251,7 +261,7 @@ def _touchdowns(missions: list[Mission]) -> Table:
     for mission in (m for m in missions if m.answer["landed_s"] is not None):
         cells = []
         for column, part in zip(errors, OF_MISSION, strict=True):
-            route = _in_force(mission, part * mission.answer["landed_s"])
+            route = _in_force(mission.run, part * mission.answer["landed_s"])
             error = 100.0 * (route.soc - mission.answer["soc_at_touchdown"]) if route is not None else math.nan
             column.append(abs(error))
             cells.append(f"{error:+.1f}")

@@ -177,5 +177,6 @@ def test_the_speeds_of_the_route_and_of_the_way_home_are_told_apart() -> None:
 
 def test_a_plan_names_the_autopilot_whose_defaults_it_uses() -> None:
     far = planned(to(1, 0.0, 300.0, 40.0), settings=ReturnSettings(cruise_ms=5.0, is_px4=True))
-    assert "PX4's defaults are used for climb, descent, return height, landing" in far.warnings
+    assert "PX4's defaults are used for climb, descent, landing" in far.warnings
+    assert "return at 30 to 60 m assumed: the vehicle has not stated its own" in far.warnings
     assert max(leg.place.height_m for leg in far.legs) == 60.0

@@ -16,7 +16,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, EstimatorMemory
-from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
+from uavbatt.navigation import UNSTATED, Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
 from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction import route_load
@@ -24,6 +24,7 @@ from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, MODEL_SD, FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load_library import LearnedLoad
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.records import Estimate, PackFacts, Remaining, Route, Sample
 
@@ -271,6 +272,41 @@ def test_without_a_position_and_without_home_nothing_is_invented() -> None:
     said = route(replace(known(leg_to(350.0)), home=None))
     assert "home is not known" in said.reason
     assert math.isnan(said.turn_back_s)
+
+
+def test_a_return_that_the_vehicle_does_not_state_is_less_sure_and_said_to_be_assumed() -> None:
+    """Of a return at 15 to 60 m, no turn-back is later than that of the lowest, or earlier than that of the highest."""
+    waiting = known(to(1, 0.0, FAR_M, 12.0, hold_s=3000.0), height_m=12.0)
+    waiting = replace(waiting, position=at(FAR_M, 12.0))
+
+    def said(**settings: float) -> Route:
+        return route(replace(waiting, settings=replace(SETTINGS, **settings)))
+
+    low, high, unstated = said(return_height_m=15.0), said(return_height_m=60.0), said(return_height_m=math.nan)
+    assert high.turn_back_lo_s <= unstated.turn_back_lo_s < unstated.turn_back_s < low.turn_back_s
+    assert high.turn_back_s < unstated.turn_back_s
+    assert high.home_soc < unstated.home_soc < low.home_soc
+    assert "return at 15 to 60 m assumed: the vehicle has not stated its own" in unstated.assumed
+    assert "return at" not in low.assumed + high.assumed
+
+
+def test_the_vehicle_file_states_what_the_vehicle_does_not() -> None:
+    """Two roads to one number: the parameters on the link, and those of the flights that the vehicle file learned."""
+    unstated = replace(known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0)), settings=UNSTATED)
+    flights = LearnedLoad(*(np.full(shape, value) for shape, value in (
+        ((1, 721), 180.0), ((1, 721), 0.5), (1, 1200.0), ((1, 721), 180.0), ((1, 722), 180.0)
+    )), POWERS)  # fmt: skip
+
+    def said(load: LearnedLoad, navigation: Navigation) -> Route | None:
+        battery = battery_file.read_battery("lipo-generic")
+        options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+        estimator = Estimator(battery, options, ForecastSettings(load))
+        return run(estimator, [row(k, navigation) for k in range(ROWS)])[-1][1].route
+
+    by_file = said(replace(flights, usual=SETTINGS), unstated)
+    assert by_file is not None and by_file.load == "route"
+    assert by_file == said(flights, replace(unstated, settings=SETTINGS))
+    assert by_file != said(flights, unstated)
 
 
 def test_a_line_says_that_the_flight_home_is_assumed() -> None:

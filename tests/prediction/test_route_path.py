@@ -10,9 +10,8 @@ from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
 from uavbatt.prediction.route_legs import Phase, Point, way_points
-from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, return_reason, way_home
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
 from uavbatt.simulate.route import route_flight
-from uavbatt.telemetry.route.settings import return_settings
 
 
 def ends(*items: MissionItem) -> list[tuple[float, float, float]]:
@@ -154,39 +153,6 @@ def test_a_return_that_ends_in_the_air_is_no_landing() -> None:
         assert not found.lands and not found.reason
         assert [leg.phase for leg in found.legs] == [Phase.ROUTE, Phase.HOME] and found.legs[-1].end[:2] == (0.0, 0.0)
         assert path(mission(*items), HOME, replace(SETTINGS, return_final_m=0.0)).lands
-
-
-def test_the_way_home_climbs_first_and_never_descends_to_its_height() -> None:
-    low, high = way_home(Point(0.0, 100.0, 10.0), SETTINGS), way_home(Point(0.0, 100.0, 60.0), SETTINGS)
-    assert low[0].end.height_m == 30.0
-    assert high[0].end.height_m == 60.0
-    assert high[0].run_m == pytest.approx(100.0)
-
-
-def test_a_px4_that_states_nothing_climbs_higher_than_an_arducopter() -> None:
-    far = Point(0.0, 300.0, 10.0)
-    assert way_home(far, ReturnSettings())[0].end.height_m == 15.0
-    assert way_home(far, ReturnSettings(is_px4=True))[0].end.height_m == 60.0
-
-
-@pytest.mark.parametrize("rtl_type", [1.0, 3.0])
-def test_a_px4_that_prefers_a_landing_flies_straight_home_without_one(rtl_type: float) -> None:
-    settings = return_settings({"RTL_TYPE": rtl_type, "RTL_RETURN_ALT": 30.0}, is_px4=True)
-    assert return_reason(mission(to(1, 100.0, 0.0, 30.0)), settings) == ""
-    landing = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.LAND))
-    vtol = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.UNKNOWN, command=85, reason="a VTOL lands"))
-    begun = mission(to(1, 100.0, 0.0, 30.0), MissionItem(2, Action.OTHER, command=189))
-    for flown in (landing, vtol, begun, None):  # without a mission, nobody knows whether it has a landing
-        assert f"RTL_TYPE {rtl_type:g}" in return_reason(flown, settings)
-
-
-def test_the_cone_of_a_px4_counts_only_near_home() -> None:
-    """An ArduCopter uses its cone at any distance."""
-    cone = replace(SETTINGS, return_cone_slope=0.5)
-    px4 = replace(cone, return_cone_within_m=10.0)
-    near, far = Point(0.0, 8.0, 2.0), Point(0.0, 40.0, 2.0)
-    assert [way_home(at, px4)[0].end.height_m for at in (near, far)] == [4.0, 30.0]
-    assert [way_home(at, cone)[0].end.height_m for at in (near, far)] == [4.0, 20.0]
 
 
 @pytest.mark.parametrize(

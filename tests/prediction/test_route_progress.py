@@ -137,6 +137,40 @@ def test_a_link_that_joins_within_a_leg_teaches_nothing_of_the_speed() -> None:
     assert progress.lessons.long.factors == Progress().lessons.long.factors
 
 
+@pytest.mark.parametrize("speed_ms", [3.0, 12.0])
+def test_a_speed_that_nobody_states_is_seen_on_the_first_leg(speed_ms: float) -> None:
+    """At 12 m/s the rest of a route was said to last more than twice as long as it did, whatever was flown of it."""
+    progress, unstated = Progress(), replace(SETTINGS, cruise_ms=math.nan)
+    for k in range(30):
+        progress = progress.after(float(k), seen(float(k), speed_ms * k, speed_ms, settings=unstated))
+    assert progress.seen_ms == speed_ms
+    settings = replace(unstated, seen_ms=progress.seen_ms)
+    now = seen(30.0, speed_ms * 30.0, speed_ms, settings=settings)
+    rest = ahead(progress.after(30.0, now), now, 30.0)
+    stated = seen(30.0, speed_ms * 30.0, speed_ms, settings=replace(SETTINGS, cruise_ms=speed_ms))
+    known = ahead(Progress().after(30.0, stated), stated, 30.0)
+    assert isinstance(rest, Ahead) and isinstance(known, Ahead)
+    assert rest.touchdown_s == pytest.approx(known.touchdown_s)
+
+
+def test_a_speed_that_somebody_states_is_not_learned() -> None:
+    """An item of the mission, or the vehicle; nor is one seen in a turn, or while a pilot flies."""
+
+    def seen_ms(**other: object) -> float:
+        progress = Progress()
+        for k in range(30):
+            progress = progress.after(float(k), seen(float(k), 12.0 * k, 12.0, **other))
+        return progress.seen_ms
+
+    unstated = replace(SETTINGS, cruise_ms=math.nan)
+    speed = MissionItem(1, Action.SPEED, speed_ms=12.0)
+    by_item = mission(speed, *(to(k, LEG_M * k, 0.0, HEIGHT_M) for k in range(2, 5)))
+    assert seen_ms(settings=unstated) == 12.0
+    assert math.isnan(seen_ms())
+    assert math.isnan(seen_ms(settings=unstated, mission=by_item, current=2))
+    assert math.isnan(seen_ms(settings=unstated, mode=Mode.MANUAL))
+
+
 def return_from(north_m: float, up_ms: float, settings: ReturnSettings) -> Ahead:
     now = seen(10.0, north_m, 0.0, mode=Mode.RETURN, settings=settings)
     assert now.position is not None

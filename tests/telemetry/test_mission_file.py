@@ -72,6 +72,14 @@ def test_the_same_mission_in_both_kinds_of_file(tmp_path: Path) -> None:
     assert other.cruise_ms == 5.0
 
 
+def test_the_speed_of_a_plan_counts_in_flight_only_where_the_vehicle_states_none(tmp_path: Path) -> None:
+    """It counted in `plan` alone: in flight a mission planned at 12 m/s was taken for one at 5 m/s."""
+    planned = read_mission(written(tmp_path, plan(*ITEMS)))
+    assert planned.flown(Navigation()).settings == ReturnSettings(cruise_ms=5.0)
+    stated = ReturnSettings(cruise_ms=8.0, return_height_m=30.0)
+    assert planned.flown(Navigation(settings=stated)).settings == stated
+
+
 def test_rally_points_of_a_plan_make_the_way_home_unknown(tmp_path: Path) -> None:
     """The vehicle may return to one of them, as one that says RALLY_TOTAL."""
     said = json.loads(plan(*ITEMS))

@@ -16,6 +16,7 @@ import tomli_w
 from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import atomic_write, read_bounded, without_none
+from uavbatt.navigation import UNSTATED, ReturnSettings
 
 SUFFIX = ".vehicle.toml"
 MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
@@ -71,6 +72,11 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     source: str = ""
     powers: Powers | None = None  # over airspeed and climb; None where no flight told them
     speeds: Speeds | None = None
+
+    @property
+    def usual(self) -> ReturnSettings:
+        """Return its speeds and heights, for a vehicle that does not state them itself."""
+        return ReturnSettings(**msgspec.to_builtins(self.speeds)) if self.speeds is not None else UNSTATED
 
     def __repr__(self) -> str:
         """Return one line, without the thousands of points of past flights."""

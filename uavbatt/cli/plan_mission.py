@@ -25,10 +25,7 @@ MOST_LEGS = 40  # lines on a terminal
 
 def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMission:
     """Return a mission with the aircraft that flies it, and the wind. Raises UsageError if a file lacks something."""
-    import msgspec
-
     from uavbatt.battery import vehicle_file
-    from uavbatt.navigation import ReturnSettings
     from uavbatt.plan.mission import PlannedMission
 
     (read, home), flown = mission_from_home(mission), vehicle_file.read_vehicle(vehicle)
@@ -37,10 +34,9 @@ def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMi
             f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
         )
     air = stated_wind(wind)
-    settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
+    settings = replace(flown.usual, is_px4=not read.mission.has_home_item)
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
-    settings = replace(settings, is_px4=not read.mission.has_home_item)
     return PlannedMission(read.mission, home, settings, flown.powers, air)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -29,12 +29,13 @@ from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.draws import Flying
 from uavbatt.prediction.long_steps import edges_through, fly_draws
-from uavbatt.prediction.route_ahead import Ahead
+from uavbatt.prediction.route_ahead import Ahead, ways_home
 from uavbatt.prediction.route_forecast import ToCome
 from uavbatt.prediction.route_legs import Point, left_at, legs_table
 from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import Path, path, return_reason, way_home
+from uavbatt.prediction.route_path import Path, path
 from uavbatt.prediction.route_pieces import Column, LegTiming
+from uavbatt.prediction.route_return import return_assumed, return_reason, way_home
 from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown
@@ -154,7 +155,8 @@ def make_route_plan(
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
     remarks = (
-        resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned), planned.path.assumed
+        resolved.uncertified, _speeds_remark(planned), return_assumed(planned.settings), _air_remark(ahead),
+        _home_remark(planned), planned.path.assumed
     )  # fmt: skip
     warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
@@ -183,14 +185,12 @@ def _fit(
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     flying = Flying(pack, x, power_W, ambient_C, dt_s, reserve_soc)
     elsewhere = return_reason(planned.mission, planned.settings)
-    home_from = partial(way_home, settings=planned.settings)
-    home = RouteLoad(
-        Ahead(ahead.begin, way.pieces(legs_table(home_from(ahead.begin)))), planned.powers, 1.0, load.level_sd
-    )
-    known = ToCome(load, "route", "", ahead, elsewhere)
+    here = legs_table(way_home(ahead.begin, planned.settings))
+    home = RouteLoad(Ahead(ahead.begin, way.pieces(here)), planned.powers, 1.0, load.level_sd)
+    known, homes_from = ToCome(load, "route", "", ahead, elsewhere), ways_home(planned.settings)
     end_s = np.minimum(end_times(flying, enough=1.0).end_s, dt_s.sum())
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, scenario, way, home_from, turns_by_s)
+    asked = route_forecast.fly_ways(known, None if elsewhere else home, flying, scenario, way, homes_from, turns_by_s)
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
@@ -251,7 +251,7 @@ def _speeds_remark(planned: PlannedMission) -> str:
     settings = planned.settings
     unknown = {
         "cruise": settings.cruise_ms, "climb": settings.climb_ms, "descent": settings.descent_ms,
-        "return height": settings.return_height_m, "landing": settings.land_ms,
+        "landing": settings.land_ms,
     }  # fmt: skip
     missing = [name for name, value in unknown.items() if not math.isfinite(value)]
     maker = "PX4" if settings.is_px4 else "ArduCopter"

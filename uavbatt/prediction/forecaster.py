@@ -28,7 +28,7 @@ from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
 from uavbatt.prediction.load_library import UnknownAircraft
-from uavbatt.prediction.route_ahead import home_from, way_of
+from uavbatt.prediction.route_ahead import homes_from, way_of
 from uavbatt.prediction.route_forecast import ToCome, WaysState
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, is_open, load_before_take_off
@@ -124,6 +124,7 @@ class Forecaster:
         reason is empty where there can be a forecast; the forecast is None between two of them. No simulated forecast
         is used, so that a replay can take many rows in and simulate their forecasts at once.
         """
+        navigation = route_forecast.with_usual(navigation, self.settings.load, self._progress)
         is_aloft = navigation.is_aloft(sample.time_s)
         self._remember(sample, navigation, is_aloft)
         flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
@@ -202,7 +203,7 @@ class Forecaster:
         if not self._ways.is_due(ways, typical_s):
             return asked._replace(ways=self._ways)
         home = route_forecast.homewards(self.settings.load, self._progress, navigation, asked.time_s)
-        way, homewards = way_of(self._progress), home_from(self._progress, navigation)
+        way, homewards = way_of(self._progress), homes_from(self._progress, navigation)
         route = route_forecast.fly_ways(known, home, asked.flying, scenario, way, homewards, typical_s)
         return asked._replace(route=route, ways=ways)
 

@@ -21,6 +21,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
 from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
 
@@ -55,6 +56,7 @@ class LearnedLoad:
     mean_W: Array  # running mean power since take-off
     drawn_J: Array  # energy since take-off at each point of the grid, and one step behind its end: [flights, grid + 1]
     powers: Powers = UNKNOWN  # used if a route is known
+    usual: ReturnSettings = UNSTATED  # speeds and heights of the way home where the vehicle states none
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the median of the flights' mean powers [W]; less for a flight that needs much less power."""
@@ -165,7 +167,7 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
     mean_W = np.cumsum(power_W, axis=1) / (np.arange(grid_s.size) + 1.0)
     drawn_J = GRID_S * np.cumsum(np.insert(power_W, 0, 0.0, axis=1), axis=1)
     landed_s = np.array([t.time_s[-1] for t in file.traces])
-    return LearnedLoad(power_W, soc, landed_s, mean_W, drawn_J, file.powers or UNKNOWN)
+    return LearnedLoad(power_W, soc, landed_s, mean_W, drawn_J, file.powers or UNKNOWN, file.usual)
 
 
 def _stitched(

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.navigation import Mode, Navigation
+from uavbatt.navigation import Mode, Navigation, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
-from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
+from uavbatt.prediction.route_path import ENDLESS_S, returned
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
+from uavbatt.prediction.route_return import RETURN_SPEEDS_MS, landing, possible_returns, return_reason, way_home
 from uavbatt.prediction.route_track import WayBack, way_back
 from uavbatt.records import NAN
 
@@ -130,8 +131,23 @@ def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ah
     return Ahead(home.begin, pieces, flown.lands) if flown.legs else home
 
 
-def home_from(progress: Progress, navigation: Navigation) -> HomeFrom:
-    """Return the function that gives the legs home from any place at which the aircraft turns."""
+def homes_from(progress: Progress, navigation: Navigation) -> tuple[HomeFrom, ...]:
+    """Return the function that gives the legs home from any place at which the aircraft turns.
+
+    They are several if a return has not begun, and the vehicle has not stated its height or speed.
+    """
+    if navigation.mode in RETURNS:
+        return (_home_from(progress, navigation),)
+    return ways_home(navigation.settings)
+
+
+def ways_home(settings: ReturnSettings) -> tuple[HomeFrom, ...]:
+    """Return the straight ways home of all returns that are possible."""
+    return tuple(partial(way_home, settings=possible) for possible in possible_returns(settings))
+
+
+def _home_from(progress: Progress, navigation: Navigation) -> HomeFrom:
+    """Return the function that gives the legs of the present return from any place."""
     back = _track_home(progress, navigation)
     return partial(way_home if back is None else back.legs, settings=navigation.settings)
 
@@ -140,7 +156,7 @@ def _legs_home(here: Point, progress: Progress, navigation: Navigation) -> tuple
     """Return the legs home from here; a straight return has begun already if the mode says so."""
     if navigation.mode in RETURNS and _track_home(progress, navigation) is None:
         return _begun(here, navigation)
-    return home_from(progress, navigation)(here)
+    return _home_from(progress, navigation)(here)
 
 
 def _track_home(progress: Progress, navigation: Navigation) -> WayBack | None:
@@ -167,10 +183,19 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
     is_over_home = math.hypot(here.north_m, here.east_m) < OVER_HOME_M
     if is_over_home and (position is None or not position.up_ms > -LEAST_SINKING_MS):
         return landing(here, settings, -1)
-    moves = position is not None and math.hypot(position.north_ms, position.east_ms) > FARTHEST_HOVER_MS
-    moves = moves or is_over_home
-    climbed = replace(settings, return_height_m=0.0) if moves else settings
-    return way_home(here, replace(climbed, return_climb_min_m=NAN))
+    speed_ms = math.hypot(position.north_ms, position.east_ms) if position is not None else 0.0
+    if speed_ms > FARTHEST_HOVER_MS:
+        settings = replace(_with_speed(settings, speed_ms), return_height_m=0.0)
+    elif is_over_home:
+        settings = replace(settings, return_height_m=0.0)
+    return way_home(here, replace(settings, return_climb_min_m=NAN))
+
+
+def _with_speed(settings: ReturnSettings, speed_ms: float) -> ReturnSettings:
+    """Return the settings with the speed of the present return, which is seen [m/s], if the vehicle states none."""
+    if math.isfinite(settings.return_ms) or math.isfinite(settings.cruise_ms):
+        return settings
+    return replace(settings, return_ms=max(speed_ms, RETURN_SPEEDS_MS[0]))  # it may only begin to move
 
 
 def _rest_by_plan(way: LegTiming, progress: Progress, time_s: float) -> Pieces:

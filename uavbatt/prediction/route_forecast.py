@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
-from uavbatt.navigation import Mode, Navigation
+from uavbatt.navigation import Mode, Navigation, ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import Flying
+from uavbatt.prediction.draws import Draws, Flying, start_draws
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws
@@ -21,6 +23,7 @@ from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import LegTiming, waiting
 from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route_return import return_assumed
 from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import IN_TIME, Route
 
@@ -57,7 +60,7 @@ class RouteQuestion(NamedTuple):
     reason: str
     route_s: Array | None  # touchdown of each draw
     route_soc: Array | None
-    turning: Turning | None
+    turnings: tuple[Turning, ...]  # one for each way home that is possible; none if it is not known
     is_returning: bool = False
     assumed: str = ""
 
@@ -79,6 +82,13 @@ def powers_of(load: Load) -> Powers:
     return load.powers if isinstance(load, LearnedLoad | UnknownAircraft) else UNKNOWN
 
 
+def with_usual(navigation: Navigation, load: Load, progress: Progress) -> Navigation:
+    """Return the navigation with the speeds of the vehicle file, or seen in flight, where the vehicle states none."""
+    if isinstance(load, LearnedLoad):
+        navigation = navigation.with_usual(load.usual)
+    return navigation.with_usual(ReturnSettings(seen_ms=progress.seen_ms)) if progress.seen_ms > 0.0 else navigation
+
+
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
     """Return the load to come: the route's, if the route is known and the user has not stated another load."""
     returning = is_returning(progress, navigation)
@@ -89,12 +99,13 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
         home_reason = home_reason or UNTOLD_POWER
+    returns = "" if returning else return_assumed(navigation.settings)
     if isinstance(route, str):
-        return ToCome(load, name, route, None, home_reason, returning)
+        return ToCome(load, name, route, None, home_reason, returning, "" if home_reason else returns)
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd, progress.lessons.excess_beyond(powers)), "route"
-    assumed = progress.path.assumed if navigation.mode is Mode.MISSION else ""
-    return ToCome(load, name, "", route, home_reason, returning, assumed)
+    lands = progress.path.assumed if navigation.mode is Mode.MISSION else ""
+    return ToCome(load, name, "", route, home_reason, returning, "; ".join(filter(None, (lands, returns))))
 
 
 def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
@@ -119,15 +130,16 @@ def fly_ways(
     flying: Flying,
     scenario: Array,
     way: LegTiming,
-    home_from: HomeFrom,
+    homes_from: Sequence[HomeFrom],
     typical_s: float,
 ) -> RouteQuestion:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
-    here; None if it is not known. `scenario` is which scenario of the load each draw flies [draws].
+    here; None if it is not known. `scenario` is which scenario of the load each draw flies [draws]. Of several possible
+    ways home each is flown by as many draws.
     """
-    asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning, known.assumed)
+    asked = RouteQuestion(known.name, _reason(known), None, None, (), known.is_returning, known.assumed)
     scenario = scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
@@ -146,9 +158,22 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, home_from, sampling.least_soc(flying))
-        asked = asked._replace(turning=turning)
+        turning = partial(Turning, turn_at_s=turn_at_s, flown=flown, load=home, way=way)
+        asked = asked._replace(turnings=tuple(_each_way(turning, at_turn, flying, scenario, homes_from)))
     return asked
+
+
+def _each_way(
+    turning: Callable[..., Turning], at_turn: Draws, flying: Flying, scenario: Array, homes_from: Sequence[HomeFrom]
+) -> Iterator[Turning]:
+    """Yield the draws that fly each of the ways home, which are equally likely: every n-th draw of n ways."""
+    least_soc = sampling.least_soc(flying)
+    for number, home_from in enumerate(homes_from):
+        which = slice(number, None, len(homes_from))
+        begun = start_draws(flying._replace(x=flying.x[:, which])).going_on(at_turn, which)
+        yield turning(
+            at_turn=begun, which=which, scenario=scenario[which], home_from=home_from, least_soc=least_soc[which]
+        )
 
 
 def _reason(known: ToCome) -> str:
@@ -162,13 +187,15 @@ def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
         risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))
         said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
-    if asked.turning is None:
+    if not asked.turnings:
         return said
     is_in_time = said.risk <= IN_TIME  # then the later instants, most of the work, are not needed
-    turn = fly_home(asked.turning.now if is_in_time else asked.turning)
-    home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
+    turns = [fly_home(turning.now if is_in_time else turning) for turning in asked.turnings]
+    home_soc_lo, home_soc = map(float, np.quantile(np.concatenate([turn.home_soc for turn in turns]), (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
     if is_in_time:
         return replace(said, reason=said.reason or "the route comes home in time")
-    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_times(turn, end_s), (0.05, 0.5, 0.95)))
+    ways = zip(asked.turnings, turns, strict=True)
+    times_s = np.concatenate([turn_back_times(turn, end_s[turning.which]) for turning, turn in ways])
+    lo_s, middle_s, hi_s = map(float, np.quantile(times_s, (0.05, 0.5, 0.95)))
     return replace(said, turn_back_s=middle_s, turn_back_lo_s=lo_s, turn_back_hi_s=hi_s)

@@ -1,4 +1,4 @@
-"""The way of a mission as legs in metres around home, and the way home from any point.
+"""The way of a mission as legs in metres around home.
 
 A leg ends at a point and may wait there. Its time at the planned speeds is the longer of two: its run at the ground
 speed, and its rise at the climb or descent rate. A mission that is not understood gives a reason instead of legs.
@@ -10,10 +10,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
 from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, edge, left_at, legs_table
+from uavbatt.prediction.route_return import LegSpeeds, finite_or, landing, return_reason, speeds_of, way_home
 
 METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
@@ -41,28 +41,6 @@ class Path:
         return legs_table(self.legs)
 
 
-class LegSpeeds(NamedTuple):
-    """LegSpeeds holds the speeds at which a leg is flown [m/s]."""
-
-    cruise_ms: float
-    climb_ms: float
-    descent_ms: float
-
-
-class _Defaults(NamedTuple):
-    """_Defaults holds an autopilot's own speeds and heights, used where the vehicle does not state them."""
-
-    speeds: LegSpeeds
-    return_height_m: float
-    land_ms: float
-    slow_below_m: float
-
-
-# ArduCopter 4.6 flies 10 m/s by default; the 5 m/s of older versions tell no way home too short.
-ARDUCOPTER = _Defaults(LegSpeeds(5.0, 2.5, 1.5), 15.0, 0.5, 10.0)
-PX4 = _Defaults(LegSpeeds(5.0, 3.0, 1.5), 60.0, 0.7, 5.0)
-
-
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
     """Return a place as a point in metres around home."""
     east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, also across 180°
@@ -73,70 +51,6 @@ def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
 def place(home: Home, position: Position) -> Point:
     """Return where the aircraft is, in metres around home."""
     return local(home, position.lat_deg, position.lon_deg, position.height_m)
-
-
-def finite_or(value: float, otherwise: float) -> float:
-    """Return `value` if it is finite and positive, else `otherwise`."""
-    return value if math.isfinite(value) and value > 0.0 else otherwise
-
-
-def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
-    """Return why the way home is not known, as vehicle or mission tell it; empty when it is known."""
-    if mission is None:  # it may have a landing that nobody sent
-        return settings.return_reason or settings.landing_reason
-    return settings.return_reason or mission.return_reason or (settings.landing_reason if mission.lands else "")
-
-
-def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
-    """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
-    speeds, run_m = speeds_of(settings), math.hypot(begin.north_m, begin.east_m)
-    return_ms, hold_s = finite_or(settings.return_ms, speeds.cruise_ms), finite_or(settings.return_hold_s, 0.0)
-    above = begin._replace(height_m=_return_height_m(begin, run_m, settings))
-    over_home = Point(0.0, 0.0, above.height_m)
-    limits = (return_ms, speeds.climb_ms, speeds.descent_ms)
-    legs = (
-        Leg(-1, Phase.HOME, begin, above, 0.0, *limits),
-        Leg(-1, Phase.HOME, above, over_home, run_m, *limits, hold_s),
-        *landing(over_home, settings, -1),
-    )
-    return tuple(leg for leg in legs if leg.moving_s + leg.hold_s > 0.0)
-
-
-def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
-    """Return the height at which the autopilot flies home; it is never below the present height."""
-    asked_m = settings.return_height_m
-    if not math.isfinite(asked_m):
-        asked_m = _defaults(settings).return_height_m
-    if run_m <= finite_or(settings.return_cone_within_m, math.inf):
-        asked_m = min(asked_m, finite_or(settings.return_cone_slope, math.inf) * run_m)
-    return max(begin.height_m + finite_or(settings.return_climb_min_m, 0.0), asked_m, begin.height_m)
-
-
-def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
-    """Return the legs straight down from a point to the ground, the last metres slowly."""
-    speeds, defaults = speeds_of(settings), _defaults(settings)
-    slow_m = min(finite_or(settings.land_slow_below_m, defaults.slow_below_m), max(above.height_m, 0.0))
-    low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
-    fast_ms = finite_or(settings.land_fast_ms, speeds.descent_ms)
-    land_ms = finite_or(settings.land_ms, defaults.land_ms)
-    return (
-        Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, fast_ms),
-        Leg(seq, Phase.LANDING, low, ground, 0.0, 1.0, speeds.climb_ms, land_ms),
-    )
-
-
-def _defaults(settings: ReturnSettings) -> _Defaults:
-    return PX4 if settings.is_px4 else ARDUCOPTER
-
-
-def speeds_of(settings: ReturnSettings) -> LegSpeeds:
-    """Return the vehicle's own speeds on a route."""
-    defaults = _defaults(settings).speeds
-    return LegSpeeds(
-        finite_or(settings.cruise_ms, defaults.cruise_ms),
-        finite_or(settings.climb_ms, defaults.climb_ms),
-        finite_or(settings.descent_ms, defaults.descent_ms),
-    )
 
 
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:

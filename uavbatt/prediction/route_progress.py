@@ -11,6 +11,7 @@ from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import Path, path, place
+from uavbatt.prediction.route_return import finite_or, speeds_of
 from uavbatt.prediction.route_track import Track
 from uavbatt.records import NAN
 
@@ -21,6 +22,7 @@ SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
 ASTRAY, ASTRAY_S = 0.1, 4.0  # a new item may be reported some seconds late
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
+LEAST_SEEN_MS, SEEN_STEP_MS = 2.0, 0.5
 STEADY_MS = 0.3  # change of velocity in TOLD_PERIOD_S of a hover in gusts
 
 
@@ -51,6 +53,7 @@ class Progress(NamedTuple):
     is_steady: bool = True  # the velocity is kept, so that the power is not that of a turn
     lessons: FlightLessons = FlightLessons()
     track: Track = Track()
+    seen_ms: float = NAN  # the highest speed over ground that it kept on legs whose speed nobody states
 
     def after(
         self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
@@ -59,7 +62,10 @@ class Progress(NamedTuple):
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(time_s, navigation)._steadied(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
-        moved = moved._followed(time_s, navigation, row_s) if navigation.mode is Mode.MISSION else moved._paused(row_s)
+        if navigation.mode is Mode.MISSION:
+            moved = moved._followed(time_s, navigation, row_s)._with_speed_seen(navigation)
+        else:
+            moved = moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
@@ -141,6 +147,16 @@ class Progress(NamedTuple):
         if moved.is_timed and moved.behind == 0 and moved.leg.phase is Phase.ROUTE and not moved.leg.circle_m > 0.0:
             return moved._replace(lessons=moved.lessons.with_climb(moved.leg, here, row_s))
         return moved
+
+    def _with_speed_seen(self, navigation: Navigation) -> Progress:
+        """Return the progress with the speed that is kept now, on a leg whose speed neither vehicle nor item states."""
+        position, settings = navigation.position, navigation.settings
+        if position is None or not (self.is_steady and self.is_on_path) or math.isfinite(settings.cruise_ms):
+            return self
+        leg, speed_ms = self.leg, math.hypot(position.north_ms, position.east_ms)
+        is_own = leg.phase is Phase.ROUTE and leg.speed_ms == speeds_of(settings).cruise_ms and not leg.circle_m > 0.0
+        is_new = speed_ms > max(LEAST_SEEN_MS, finite_or(self.seen_ms, 0.0) + SEEN_STEP_MS)
+        return self._replace(seen_ms=speed_ms) if is_own and is_new else self
 
     def _paused(self, row_s: float) -> Progress:
         """Return the progress after `row_s` [s] in another mode: the leg's clock stands still, its time is not used."""

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Home, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point
-from uavbatt.prediction.route_path import landing, speeds_of
 from uavbatt.prediction.route_pieces import Column, keeps_speed
+from uavbatt.prediction.route_return import landing, speeds_of
 
 APART_M = 2.0  # SRTL_ACCURACY
 STRAIGHT_M = 1.0  # places so near a straight line are left out

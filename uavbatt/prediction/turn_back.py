@@ -34,12 +34,14 @@ ROUGH = 1.0  # sds that the highest mean over 5 s, which is judged, lies above t
 class Turning(NamedTuple):
     """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
 
+    which : these draws among those of the forecast
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     home_from : the legs home from any place
     least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
     """
 
     at_turn: Draws
+    which: slice
     turn_at_s: Array
     flown: Ahead
     load: RouteLoad
@@ -90,17 +92,17 @@ def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
     home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.home_from)
     scenarios = np.vstack([factors(asked.load), wind_errors_ms()])[:, asked.scenario]
-    return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.least_soc)
+    return _fly_home(asked, home, scenarios)
 
 
-def _fly_home(at_turn: Draws, turn_at_s: Array, home: Homewards, scenarios: Array, least_soc: Array) -> TurnBack:
-    """Return what comes of the ways home that begin with the draws `at_turn` [turns, draws].
+def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
+    """Return what comes of the ways `home`.
 
     scenarios : factors of level, fast flight and time, and the error of the wind [m/s], of each draw [4, draws]
     """
-    stretch = scenarios[2]
+    at_turn, turn_at_s, stretch = asked.at_turn, asked.turn_at_s, scenarios[2]
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
-    normals = sampling.wander_home(int(steps.max()))
+    normals = sampling.wander_home(int(steps.max()))[:, asked.which]
     least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
     flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
     for k in range(int(steps.max()) + 1):
@@ -111,14 +113,14 @@ def _fly_home(at_turn: Draws, turn_at_s: Array, home: Homewards, scenarios: Arra
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
             power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
-            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, least_soc))
+            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, asked.least_soc))
             soc[down] = landed.state.soc
             flying, at_turn = flying[~is_down], at_turn.of(~is_down)
         if not flying.size:
             break
         at, rough = source_of(at_turn), home.rough[k, flying][:, None]
         power_W = home.drawn_W(k, flying, scenarios)
-        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), least_soc)
+        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), asked.least_soc)
         least_V[flying] = np.minimum(least_V[flying], above_V)
         length_s = home.length_s[k, flying][:, None] * stretch
         at_turn = step_draws(at_turn, at, power_W, length_s, normals[k % len(normals)])

@@ -25,7 +25,7 @@ import msgspec
 
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import read_bounded
-from uavbatt.navigation import NAN, Home, Mission, Navigation
+from uavbatt.navigation import NAN, Home, Mission, Navigation, ReturnSettings
 from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.commands import Fields
 
@@ -69,7 +69,8 @@ class PlannedFlight(NamedTuple):
 
     def flown(self, known: Navigation) -> Navigation:
         """Return what is known of route and place with this mission."""
-        return known.with_plan(self.mission_on(known.settings.is_px4, known.items_told), self.home)
+        mission = self.mission_on(known.settings.is_px4, known.items_told)
+        return known.with_plan(mission, self.home, ReturnSettings(cruise_ms=self.cruise_ms))
 
 
 class _Transects(msgspec.Struct):
