@@ -124,7 +124,8 @@ class Forecaster:
         reason is empty where there can be a forecast; the forecast is None between two of them. No simulated forecast
         is used, so that a replay can take many rows in and simulate their forecasts at once.
         """
-        navigation = route_forecast.with_usual(navigation, self.settings.load, self._progress)
+        if navigation is not NOWHERE:
+            navigation = route_forecast.with_usual(navigation, self.settings.load, self._progress)
         is_aloft = navigation.is_aloft(sample.time_s)
         self._remember(sample, navigation, is_aloft)
         flying_s = sample.time_s - self._flight.flying_since_s  # NaN on the ground
