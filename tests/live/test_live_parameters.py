@@ -99,6 +99,34 @@ def test_without_an_answer_it_is_asked_for_a_few_times_only() -> None:
     assert 2 <= len(asked) <= 4
 
 
+def asked_of(bench: Bench) -> list[str]:
+    sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    bench.link.sent.clear()
+    return [m.param_id for m in sent if m.get_type() == "PARAM_REQUEST_READ"]
+
+
+HOME = dialect.MAVLink_home_position_message(470000000, 80000000, 400_000, 0.0, 0.0, 0.0, [1, 0, 0, 0], 0.0, 0.0, 0.0)
+
+
+def test_speeds_and_way_home_are_asked_for_once_a_home_is_known() -> None:
+    """They were never asked for: the way home was that of an autopilot that nobody has changed."""
+    bench = flying(link=LinkSection(endpoint="x", gcs=["y"], request=True))
+    assert not {"RTL_ALT", "WPNAV_SPEED"} & set(asked_of(bench))
+    bench.send(HOME)
+    bench.fly(8.0, used=0.1)
+    once = asked_of(bench)
+    assert {"RTL_ALT", "RTL_ALT_M", "RTL_SPEED", "WPNAV_SPEED", "WP_SPD", "LAND_SPEED"} <= set(once)
+    assert not any(name.startswith(("MPC_", "RTL_RETURN")) for name in once)  # those of a PX4
+    bench.send(parameter("RTL_ALT", 4000.0))
+    bench.fly(30.0, used=0.1)
+    assert bench.daemon._reader.navigation.settings.return_height_m == 40.0
+    again = asked_of(bench)
+    assert {"RTL_ALT", "RTL_ALT_M"} & set(again) == set()  # one of the two names was answered
+    assert max(map(again.count, set(again))) <= 3  # and the others are asked for a few times only
+    bench.fly(30.0, used=0.1)
+    assert asked_of(bench) == []
+
+
 def test_a_recording_begins_with_what_counts(tmp_path: Path) -> None:
     """The next file of a flight does not begin with the value that was never believed; the replay agrees."""
     bench = flying(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0, max_file_MB=0.02))

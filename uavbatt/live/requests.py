@@ -1,4 +1,7 @@
-"""Requests to the autopilot, if the operator allows them (`--request`): a message rate, and the battery's parameters.
+"""Requests to the autopilot, if the operator allows them (`--request`): a message rate, and parameters.
+
+The parameters are those of the batteries, and of a vehicle that has a home or a mission those of its speeds and its
+way home.
 
 SET_MESSAGE_INTERVAL is sent while BATTERY_STATUS comes slower than half the wanted rate, with growing pauses.
 PARAM_REQUEST_READ is sent a few times for each parameter that is not known, again after a gap (the pack may have been
@@ -74,12 +77,17 @@ class Requests:
                 made.append(out.interval_request(component, fields.BATTERY_STATUS, self._rate_Hz))
                 self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
             self._rows, self._rows_since_s, self._rate_next_s = 0, now_s, now_s + self._pause_s
-        if now_s >= self._name_next_s:
-            for name in names:
-                times = self._asked.get(name, 0)
-                if times < MOST_ASKED and (name not in known or times == 0):
-                    self._asked[name] = times + 1
-                    self._name_next_s = now_s + PARAMETER_PAUSE_S
-                    made.append(out.parameter_request(component, name))
-                    break
+        if now_s >= self._name_next_s and (name := self._next_name(known, names)):
+            self._asked[name] = self._asked.get(name, 0) + 1
+            self._name_next_s = now_s + PARAMETER_PAUSE_S
+            made.append(out.parameter_request(component, name))
         return made
+
+    def _next_name(self, known: Mapping[str, float], names: Iterable[str]) -> str:
+        """Return the parameter to ask for: one asked for least often so far; empty if none is to be asked for.
+
+        Each is asked for once, also a known one, then those that are not known, a few times: a vehicle has not all.
+        """
+        asked = ((self._asked.get(name, 0), name in known, name) for name in names)
+        due = [(times, name) for times, is_known, name in asked if times < (1 if is_known else MOST_ASKED)]
+        return min(due, key=lambda one: one[0], default=(0, ""))[1]

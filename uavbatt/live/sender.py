@@ -23,10 +23,11 @@ from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, SEVERITY_WARNING, Outgoing
-from uavbatt.navigation import Navigation
+from uavbatt.navigation import Mode, Navigation
 from uavbatt.telemetry.link.reader import LiveReader
 from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
+from uavbatt.telemetry.route.settings import names_to_ask
 
 ANNOUNCE_PERIOD_S = 0.25
 NO_READINGS = "No battery readings: time unknown"
@@ -58,7 +59,7 @@ class Sender:
         to_gcs, to_autopilot = self._heartbeats(now_s, own)
         if vehicle is not None:
             to_gcs += self._feeds(now_s, reports, vehicle, reader.navigation, own)
-            to_autopilot += self._asked(now_s, vehicle, own, has_mission=reader.planned is not None)
+            to_autopilot += self._asked(now_s, reader, vehicle, own)
         for frame in to_autopilot:
             if may_reach_autopilot(header(frame).message_id, link.request, link.request_mission):
                 self._link.write(frame, now_s)
@@ -92,15 +93,18 @@ class Sender:
             made += self._component.frames(now_s, reports, vehicle.battery_ids, out)
         return made
 
-    def _asked(self, now_s: float, vehicle: Vehicle, own: Outgoing, *, has_mission: bool) -> list[bytes]:
+    def _asked(self, now_s: float, reader: LiveReader, vehicle: Vehicle, own: Outgoing) -> list[bytes]:
         """Return the requests to the autopilot that are due, as far as the operator allows them."""
         component, known, link = vehicle.component or 1, vehicle.parameters, self._config.link
         made: list[bytes] = []
         if link.request:
-            names = parameter_names(vehicle.battery_ids, vehicle.is_px4 is True)
+            is_px4 = vehicle.is_px4 is True
+            names = parameter_names(vehicle.battery_ids, is_px4)
+            is_copter = reader.navigation.has_way and reader.navigation.mode is not Mode.UNKNOWN
+            names += names_to_ask(known.known, is_px4) if is_copter else []
             made += self.requests.again(now_s, component, known.doubted, own)
             made += self.requests.frames(now_s, component, known.known, names, own)
-        if link.request_mission and not has_mission:
+        if link.request_mission and reader.planned is None:
             made += self._mission.frames(now_s, vehicle.now_s, vehicle.route, component, own)
         return made
 

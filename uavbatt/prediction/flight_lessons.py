@@ -30,6 +30,9 @@ SHORT_LEG_S = 20.0
 UNUSUAL, UNUSUAL_S = 0.4, 8.0
 LEG_NOISE_S, LEG_NOISE = 2.0, 0.08
 WIND_TAU_S = 60.0
+# Of a component of the wind for a whole flight: of the autopilot's estimate (against the true power of eight flights),
+# and where there is none.
+WIND_SD_MS, UNTOLD_WIND_SD_MS = 0.5, 3.5
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
 LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
 # Error of the power at high airspeed by the wind estimate (that of 1 m/s), and of the law of the drag where the drag
@@ -149,7 +152,7 @@ class FlightLessons(NamedTuple):
         """
         if wind is None:
             return self
-        if not math.isfinite(self.wind_north_ms):
+        if not self.is_wind_told:
             return self._replace(wind_north_ms=wind.north_ms, wind_east_ms=wind.east_ms)
         share = 1.0 - math.exp(-row_s / WIND_TAU_S)
         return self._replace(
@@ -208,8 +211,17 @@ class FlightLessons(NamedTuple):
     @property
     def wind(self) -> tuple[float, float]:
         """Return the velocity of the air north and east [m/s]; still air where nobody measures it."""
-        known = math.isfinite(self.wind_north_ms)
-        return (self.wind_north_ms, self.wind_east_ms) if known else (0.0, 0.0)
+        return (self.wind_north_ms, self.wind_east_ms) if self.is_wind_told else (0.0, 0.0)
+
+    @property
+    def is_wind_told(self) -> bool:
+        """Return True if the autopilot has told its estimate of the wind."""
+        return math.isfinite(self.wind_north_ms)
+
+    @property
+    def wind_sd_ms(self) -> float:
+        """Return the sd of a component of the wind [m/s]; a wind that nobody measures may blow from any side."""
+        return WIND_SD_MS if self.is_wind_told else UNTOLD_WIND_SD_MS
 
     def level(self, powers: Powers) -> tuple[float, float]:
         """Return the ratio of the flight's power to that of `powers`, and its sd: the prior and what was flown so far.

@@ -95,7 +95,7 @@ def is_returning(progress: Progress, navigation: Navigation) -> bool:
 def way_of(progress: Progress) -> LegTiming:
     """Return timing, wind and way of climbing for the legs to come, as learned from the legs flown so far."""
     known = progress.lessons
-    return LegTiming(known.short, known.long, known.wind, known.climbs_first)
+    return LegTiming(known.short, known.long, known.wind, known.climbs_first, known.wind_sd_ms)
 
 
 def why_no_home(progress: Progress, navigation: Navigation, time_s: float) -> str:

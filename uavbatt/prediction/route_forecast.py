@@ -38,6 +38,7 @@ HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back late
 # Route and way home cost as much work as the end itself. They are worked out anew after this share of the time at the
 # typical power, but not within 4 s and at least every 10 s; in between the last answer counts down.
 WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
+STILL_AIR = "still air assumed: the vehicle has not told its wind"
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -92,20 +93,20 @@ def with_usual(navigation: Navigation, load: Load, progress: Progress) -> Naviga
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
     """Return the load to come: the route's, if the route is known and the user has not stated another load."""
     returning = is_returning(progress, navigation)
-    name, powers = NAMES.get(type(load), "learned"), powers_of(load)
-    level, level_sd = progress.lessons.level(powers)
+    name, powers, known = NAMES.get(type(load), "learned"), powers_of(load), progress.lessons
+    level, level_sd = known.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
     home_reason = why_no_home(progress, navigation, time_s)
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
         home_reason = home_reason or UNTOLD_POWER
-    returns = "" if returning else return_assumed(navigation.settings)
+    assumed = ["" if returning else return_assumed(navigation.settings), "" if known.is_wind_told else STILL_AIR]
     if isinstance(route, str):
-        return ToCome(load, name, route, None, home_reason, returning, "" if home_reason else returns)
+        return ToCome(load, name, route, None, home_reason, returning, "" if home_reason else _joined(assumed))
     if isinstance(load, LearnedLoad | UnknownAircraft):
-        load, name = RouteLoad(route, powers, level, level_sd, progress.lessons.excess_beyond(powers)), "route"
+        load, name = RouteLoad(route, powers, level, level_sd, known.excess_beyond(powers)), "route"
     lands = progress.path.assumed if navigation.mode is Mode.MISSION else ""
-    return ToCome(load, name, "", route, home_reason, returning, "; ".join(filter(None, (lands, returns))))
+    return ToCome(load, name, "", route, home_reason, returning, _joined([lands, *assumed]))
 
 
 def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
@@ -177,7 +178,11 @@ def _each_way(
 
 
 def _reason(known: ToCome) -> str:
-    return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
+    return _joined([known.reason, known.home_reason])
+
+
+def _joined(words: list[str]) -> str:
+    return "; ".join(dict.fromkeys(filter(None, words)))
 
 
 def route_answer(asked: RouteQuestion, end_s: Array) -> Route:

@@ -10,17 +10,18 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, beyond_learned, power, terms, turning_power
 from uavbatt.prediction import sampling
+from uavbatt.prediction.flight_lessons import WIND_SD_MS
 from uavbatt.prediction.load import FlightPoint, Scenarios, stretches_s, swinging
 from uavbatt.prediction.power_history import LOWEST_POWER_W
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings
+from uavbatt.records import Z90
 
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight changes from slow to fast, to which `fast_sd` applies
 SIDES_RAD = (np.arange(8) + 0.5) * np.pi / 8.0  # half of a turn; the other half is its mirror image
 GUSTS = 0.15  # sd of the airspeed over the wind speed, 40 m above open land: 1 / ln(40 m / 0.05 m) in EN 1991-1-4
-WIND_SD_MS = 0.5  # of a component of the autopilot's wind, for a whole flight: against the true power of eight flights
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,9 @@ def factors(load: RouteLoad) -> Array:
     return np.asarray(np.exp(sds[:, None] * _normals()[:3]))
 
 
-def wind_errors_ms() -> Array:
+def wind_errors_ms(wind_sd_ms: float) -> Array:
     """Return by how much more the wind blows against the way than it is said to [m/s], [SCENARIOS]."""
-    return np.asarray(WIND_SD_MS * _normals()[3])
+    return np.asarray(wind_sd_ms * _normals()[3])
 
 
 def _normals() -> Array:
@@ -118,9 +119,26 @@ def roughness(load: RouteLoad, slopes: Array, wind_ms: float) -> Array:
 
 def airspeed_slopes(load: RouteLoad) -> Array:
     """Return by how much more power, relatively, each piece asks when it is flown 1 m/s faster through the air."""
+    return _faster(load, 1.0) - 1.0
+
+
+def airspeed_bends(load: RouteLoad, slopes: Array, wind_sd_ms: float) -> Array:
+    """Return how the logarithm of each piece's power bends upwards with the airspeed [per (m/s)²].
+
+    The drag grows with the cube of the airspeed, so that a straight line is good for a wind that is nearly known. For
+    another one the line is bent through the power in the highest head wind that is as likely as one in twenty.
+    """
+    if wind_sd_ms <= WIND_SD_MS:
+        return np.zeros_like(slopes)
+    head_ms = Z90 * wind_sd_ms
+    return np.asarray((np.log(_faster(load, head_ms)) - slopes * head_ms) / head_ms**2)
+
+
+def _faster(load: RouteLoad, more_ms: float) -> Array:
+    """Return the power of each piece when it is flown `more_ms` [m/s] faster through the air, over its power."""
     pieces = load.ahead.pieces
-    faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + 1.0)))
-    return np.asarray(faster.flown_W / load.flown_W - 1.0)
+    faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + more_ms)))
+    return np.asarray(faster.flown_W / load.flown_W)
 
 
 def fast_shares(load: RouteLoad) -> Array:

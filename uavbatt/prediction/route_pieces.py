@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import TURN_S
-from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
+from uavbatt.prediction.flight_lessons import SHORT_LEG_S, WIND_SD_MS, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
 
 Column = NDArray[Any]
@@ -61,13 +61,14 @@ class LegTiming(NamedTuple):
     """LegTiming turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s].
 
     climbs_first : the aircraft climbs and sinks at its full rate as a leg begins, and then flies on level; else the
-    climb lasts as long as the leg.
+    climb lasts as long as the leg; wind_sd_ms : of a component of the wind.
     """
 
     short: Timing = Timing()
     long: Timing = Timing()
     wind: tuple[float, float] = (0.0, 0.0)
     climbs_first: bool = False
+    wind_sd_ms: float = WIND_SD_MS
 
     def pieces(self, leg: LegsTable, is_flying: bool = False) -> Pieces:
         """Return the pieces of these legs in order; `is_flying` if the aircraft is on the first one already."""

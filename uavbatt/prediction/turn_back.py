@@ -20,7 +20,15 @@ from uavbatt.prediction.draws import Draws, Source, source_of
 from uavbatt.prediction.long_steps import STEP_S, above_cutoff_V, step_draws
 from uavbatt.prediction.route_ahead import Ahead, HomeFrom
 from uavbatt.prediction.route_legs import legs_table
-from uavbatt.prediction.route_load import RouteLoad, airspeed_slopes, factors, fast_shares, roughness, wind_errors_ms
+from uavbatt.prediction.route_load import (
+    RouteLoad,
+    airspeed_bends,
+    airspeed_slopes,
+    factors,
+    fast_shares,
+    roughness,
+    wind_errors_ms,
+)
 from uavbatt.prediction.route_pieces import Column, LegTiming, Pieces, waiting
 from uavbatt.prediction.time_to_end import SOC_IN_CELL_V
 
@@ -67,20 +75,22 @@ class TurnBack(NamedTuple):
 class Homewards(NamedTuple):
     """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight.
 
-    slopes : relative change of the power with the airspeed [per m/s]
+    slopes, bends : change of the logarithm of the power with the airspeed [per m/s] and with its square
     """
 
     length_s: Array  # [steps, turns]
     power_W: Array
     fast_shares: Array
     slopes: Array
+    bends: Array
     rough: Array  # relative sd of the power within the step
 
     def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
         """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
         levels, fast, _, wind_ms = scenarios
-        power_W, fast_share, slope = (c[k, turns][:, None] for c in (self.power_W, self.fast_shares, self.slopes))
-        return np.asarray(power_W * levels * fast**fast_share * np.exp(slope * wind_ms))
+        columns = (self.power_W, self.fast_shares, self.slopes, self.bends)
+        power_W, fast_share, slope, bend = (column[k, turns][:, None] for column in columns)
+        return np.asarray(power_W * levels * fast**fast_share * np.exp((slope + bend * wind_ms) * wind_ms))
 
 
 def turn_instants(longest_s: float) -> Array:
@@ -91,7 +101,7 @@ def turn_instants(longest_s: float) -> Array:
 def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
     home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.home_from)
-    scenarios = np.vstack([factors(asked.load), wind_errors_ms()])[:, asked.scenario]
+    scenarios = np.vstack([factors(asked.load), wind_errors_ms(asked.way.wind_sd_ms)])[:, asked.scenario]
     return _fly_home(asked, home, scenarios)
 
 
@@ -153,8 +163,9 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, 
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
     slopes = airspeed_slopes(there)
+    bends = airspeed_bends(there, slopes, way.wind_sd_ms)
     rough = roughness(there, slopes, math.hypot(*way.wind))
-    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, rough])
+    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, bends, rough])
     counts = np.bincount(turn_of, minlength=turn_at_s.size)
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]

@@ -32,6 +32,7 @@ _PX4_MIN_DIST, _PX4_MIN_DIST_M = "RTL_MIN_DIST", 10.0
 _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
 _PX4_TO_LANDING = (1.0, 3.0)  # to the landing of the mission if it has one, else straight home; 1 is a VTOL's default
 _RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
+_ONLY_PX4 = (_CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT, _PX4_TYPE)
 _ALL = (
     _CRUISE, _CLIMB, _DESCENT, _RETURN_HEIGHT, _RETURN_SPEED, _RETURN_FINAL, _RETURN_CLIMB_MIN, _RETURN_HOLD, _LAND,
     _LAND_FAST, _LAND_SLOW_BELOW, _CIRCLE_RADIUS, _CIRCLE_RATE, _ACCELERATION,
@@ -41,6 +42,17 @@ NAMES = frozenset(name for names in _ALL for name, _ in names) | {
     _CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE,
 }  # fmt: skip
 """The parameters that this module reads."""
+
+
+def names_to_ask(known: Mapping[str, float], is_px4: bool) -> list[str]:
+    """Return the names under which this autopilot may state what is not known yet of its speeds and its way home.
+
+    An ArduCopter has either the old name or the new one, and does not answer to the other.
+    """
+    alone = (_PX4_TYPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT) if is_px4 else (_CONE_SLOPE, _RALLY, _TERRAIN)
+    quantities = [tuple(name for name, _ in names) for names in _ALL] + [(name,) for name in alone]
+    unknown = (name for names in quantities if not any(name in known for name in names) for name in names)
+    return [name for name in unknown if (name.startswith("MPC_") or name in _ONLY_PX4) is is_px4]
 
 
 def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnSettings:
