@@ -63,7 +63,7 @@ class Mission:
     name: str
     answer: dict[str, Any]
     run: list[ReplayedRow]
-    unstated: list[ReplayedRow]  # the same, if neither vehicle nor vehicle file states speeds and heights
+    unheard: dict[str, list[ReplayedRow]]  # the same, if something was never heard
     peers: dict[str, Lines]  # seconds until one must turn back
 
 
@@ -145,7 +145,7 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
         say(f"routes: {path.stem}")
         flight, answer = read_log(path), _answer(answers, path.stem)
         run = _run(flight, known, known.library)
-        missions.append(Mission(path.stem, answer, run, _unstated(flight, known), turn_lines(known.peers, flight)))
+        missions.append(Mission(path.stem, answer, run, _unheard(flight, known), turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
         start_s, _ = _span_s(flight, truth.CUTOFF_V, 2.0)
@@ -154,10 +154,14 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
     return missions, scores
 
 
-def _unstated(flight: Flight, known: Known) -> list[ReplayedRow]:
-    """Return the flight as it is forecast where no parameter of the vehicle was ever heard."""
-    heard = tuple(replace(now, settings=UNSTATED) for now in flight.navigation)
-    return _run(replace(flight, navigation=heard), known, replace(known.library, usual=UNSTATED))
+def _unheard(flight: Flight, known: Known) -> dict[str, list[ReplayedRow]]:
+    """Return the flight as it is forecast where nobody states speeds and heights, and where nobody tells the wind."""
+    unstated = tuple(replace(now, settings=UNSTATED) for now in flight.navigation)
+    untold = tuple(replace(now, wind=None) for now in flight.navigation)
+    return {
+        "no parameters": _run(replace(flight, navigation=unstated), known, replace(known.library, usual=UNSTATED)),
+        "no wind": _run(replace(flight, navigation=untold), known, known.library),
+    }
 
 
 def _answer(folder: Path, name: str) -> dict[str, Any]:
@@ -191,10 +195,11 @@ def _turn_backs(missions: list[Mission]) -> Table:
     head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "turn back now")
     there = [m for m in missions if m.answer["turn_back_s"] is not None]
     found = [_turn_back(mission, mission.run) for mission in there]
-    unstated = [_turn_back(mission, mission.unstated) for mission in there]
     rows = [(mission.name, one.cells) for mission, one in zip(there, found, strict=True)]
     rows.append((f"{ROUTE}: MAE [s]", _turn_back_means(found)))
-    rows.append((f"{ROUTE}, no parameters heard: MAE [s]", _turn_back_means(unstated)))
+    for what in there[0].unheard:
+        means = _turn_back_means([_turn_back(mission, mission.unheard[what]) for mission in there])
+        rows.append((f"{ROUTE}, {what} heard: MAE [s]", means))
     for peer in there[0].peers:
         rows.append((f"{peer}: MAE [s]", _turn_back_means([_peer_turn_back(mission, peer) for mission in there])))
     note = "Positive: too late. No number counts as 0. In the last column the peers' zero, without an interval."

@@ -19,6 +19,7 @@ from uavbatt.live.named import NamedFeed
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.report import Report
 from uavbatt.live.requests import Requests, parameter_names
+from uavbatt.live.stream_requests import StreamRequests
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
@@ -42,7 +43,7 @@ class Sender:
         self._named = NamedFeed(config.feed.named_rate_Hz)
         self._component = BatteryFeed(config.feed.battery_rate_Hz)
         self.requests = Requests(config.link.request_rate_Hz)
-        self._mission = MissionRequest()
+        self._mission, self._streams = MissionRequest(), StreamRequests()
         self._key = key
         self._outs: dict[tuple[int, int], Outgoing] = {}
         self._announcers: dict[int, Announcer] = {}
@@ -98,10 +99,12 @@ class Sender:
         component, known, link = vehicle.component or 1, vehicle.parameters, self._config.link
         made: list[bytes] = []
         if link.request:
-            is_px4 = vehicle.is_px4 is True
-            names = parameter_names(vehicle.battery_ids, is_px4)
-            is_copter = reader.navigation.has_way and reader.navigation.mode is not Mode.UNKNOWN
-            names += names_to_ask(known.known, is_px4) if is_copter else []
+            is_px4, navigation = vehicle.is_px4 is True, reader.navigation
+            names, is_copter = parameter_names(vehicle.battery_ids, is_px4), navigation.mode is not Mode.UNKNOWN
+            if is_copter:
+                made += self._streams.frames(now_s, vehicle.now_s, navigation, is_px4, component, own)
+            if is_copter and navigation.has_way:
+                names += names_to_ask(known.known, is_px4)
             made += self.requests.again(now_s, component, known.doubted, own)
             made += self.requests.frames(now_s, component, known.known, names, own)
         if link.request_mission and reader.planned is None:
@@ -125,7 +128,7 @@ class Sender:
                     self._to_gcs(frame, now_s)
         self._announcers.clear()
         self.requests.begin_again()
-        self._mission = MissionRequest()
+        self._mission, self._streams = MissionRequest(), StreamRequests()
 
     def _announced(
         self, now_s: float, reports: Sequence[Report], vehicle: Vehicle, navigation: Navigation
