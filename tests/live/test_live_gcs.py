@@ -304,6 +304,7 @@ def test_an_aircraft_that_flies_home_is_not_told_when_to_turn_back(browser: Brow
     bench, port = Bench(), free_port()
     bench.fly(20.0)
     way = Route("route", turn_back_s=90.0, turn_back_lo_s=30.0, home_soc_lo=0.2, is_returning=is_returning)
+    way = replace(way, assumed="flight home assumed; still air assumed")
     (report,) = bench.daemon.board.reports
     report = replace(report, remaining=replace(report.remaining, route=way))
     board = replace(bench.daemon.board, reports=(report,))
@@ -313,6 +314,7 @@ def test_an_aircraft_that_flies_home_is_not_told_when_to_turn_back(browser: Brow
     browser.ask("Page.navigate", url="about:blank")
     assert ("Turn back in" in shown) is not is_returning
     assert "Home with, at worst" in shown
+    assert "flight home assumed\nstill air assumed" in shown  # on what these numbers rest
 
 
 def test_a_mission_that_mavproxy_loads_passes_the_proxy_and_is_understood(
