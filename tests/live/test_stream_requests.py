@@ -9,7 +9,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection
-from uavbatt.live.stream_requests import MOST_ASKED, RATES_Hz
+from uavbatt.live.stream_requests import MOST_ASKED, RATES_Hz, StreamRequests
+from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.navigation import NOWHERE
 from uavbatt.simulate.tlog_writer import heartbeat
 
 PLACE = dialect.MAVLink_global_position_int_message(0, 470000000, 80000000, 420_000, 20_000, 0, 0, 0, 0)
@@ -49,6 +51,12 @@ def test_a_copter_that_sends_its_battery_alone_is_asked_for_place_home_item_and_
     assert set(asked) == {33, 42, 242, 168}  # GLOBAL_POSITION_INT, MISSION_CURRENT, HOME_POSITION, WIND
     assert set(asked.values()) == {MOST_ASKED}
     assert flown(quad, 60.0) == {}
+
+
+def test_the_pauses_between_two_requests_grow() -> None:
+    asks, out = StreamRequests(), Outgoing(1, 193, None)
+    due_s = [k for k in range(100) if asks.frames(float(k), float(k), NOWHERE, False, 1, out)]
+    assert due_s == [5, 10, 20, 40]
 
 
 def test_only_what_is_not_heard_is_asked_for() -> None:

@@ -30,6 +30,12 @@ def test_a_return_whose_height_nobody_states_is_as_high_as_crews_set_it() -> Non
         assert len(ways) == 2 * len(heights_m)
 
 
+def test_a_return_climbs_at_least_as_much_as_the_vehicle_states() -> None:
+    climbs = replace(SETTINGS, return_climb_min_m=20.0)  # RTL_CLIMB_MIN; RTL_ALT is 30 m
+    heights_m = [way_home(Point(0.0, 300.0, at_m), climbs)[0].end.height_m for at_m in (5.0, 20.0, 50.0)]
+    assert heights_m == [30.0, 40.0, 70.0]
+
+
 @pytest.mark.parametrize(
     ("stated", "ways", "words"),
     [

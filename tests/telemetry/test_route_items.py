@@ -11,7 +11,7 @@ from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.builder import NavigationBuilder
 from uavbatt.telemetry.route.commands import Fields, item_fields, mission, mission_item
 from uavbatt.telemetry.route.modes import copter_mode, copter_mode_named, px4_mode, px4_state
-from uavbatt.telemetry.route.settings import return_settings
+from uavbatt.telemetry.route.settings import NAMES, names_to_ask, return_settings
 
 NAN = math.nan
 HOME = MissionItem(0, Action.WAYPOINT, 47.0, 8.0, 400.0, Frame.SEA, command=16)
@@ -187,6 +187,42 @@ def test_old_and_new_names_of_ardupilot_say_the_same() -> None:
     one, other = return_settings(old), return_settings(new)
     assert repr(one) == repr(other)
     assert (one.cruise_ms, one.return_height_m, one.land_fast_ms) == (7.5, 30.0, 1.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "stated", "field", "si"),
+    [
+        ("WP_SPD_UP", 3.0, "climb_ms", 3.0), ("WPNAV_SPEED_UP", 300.0, "climb_ms", 3.0),
+        ("MPC_Z_V_AUTO_UP", 3.0, "climb_ms", 3.0), ("MPC_Z_VEL_MAX_UP", 3.0, "climb_ms", 3.0),
+        ("WP_SPD_DN", 2.0, "descent_ms", 2.0), ("WPNAV_SPEED_DN", 200.0, "descent_ms", 2.0),
+        ("MPC_Z_V_AUTO_DN", 2.0, "descent_ms", 2.0), ("MPC_Z_VEL_MAX_DN", 2.0, "descent_ms", 2.0),
+        ("WP_SPD", 8.0, "cruise_ms", 8.0), ("WPNAV_SPEED", 800.0, "cruise_ms", 8.0),
+        ("MPC_XY_CRUISE", 8.0, "cruise_ms", 8.0),
+        ("RTL_ALT_M", 40.0, "return_height_m", 40.0), ("RTL_ALT", 4000.0, "return_height_m", 40.0),
+        ("RTL_RETURN_ALT", 40.0, "return_height_m", 40.0),
+        ("RTL_SPEED_MS", 9.0, "return_ms", 9.0), ("RTL_SPEED", 900.0, "return_ms", 9.0),
+        ("RTL_ALT_FINAL_M", 5.0, "return_final_m", 5.0), ("RTL_ALT_FINAL", 500.0, "return_final_m", 5.0),
+        ("RTL_CLIMB_MIN_M", 6.0, "return_climb_min_m", 6.0), ("RTL_CLIMB_MIN", 600.0, "return_climb_min_m", 6.0),
+        ("RTL_LOIT_TIME", 7000.0, "return_hold_s", 7.0), ("RTL_LAND_DELAY", 7.0, "return_hold_s", 7.0),
+        ("LAND_SPD_MS", 0.6, "land_ms", 0.6), ("LAND_SPEED", 60.0, "land_ms", 0.6),
+        ("MPC_LAND_SPEED", 0.6, "land_ms", 0.6),
+        ("LAND_SPD_HIGH_MS", 1.7, "land_fast_ms", 1.7), ("LAND_SPEED_HIGH", 170.0, "land_fast_ms", 1.7),
+        ("LAND_ALT_LOW_M", 12.0, "land_slow_below_m", 12.0), ("LAND_ALT_LOW", 1200.0, "land_slow_below_m", 12.0),
+        ("MPC_LAND_ALT2", 12.0, "land_slow_below_m", 12.0),
+    ],
+)  # fmt: skip
+def test_every_parameter_of_speeds_and_heights_has_its_unit(name: str, stated: float, field: str, si: float) -> None:
+    assert getattr(return_settings({name: stated}), field) == pytest.approx(si)
+    assert name in NAMES and any(name in names_to_ask({}, is_px4) for is_px4 in (False, True))
+    assert name not in names_to_ask({name: stated}, is_px4=name.startswith("MPC_"))
+
+
+@pytest.mark.parametrize("is_px4", [False, True])
+def test_an_autopilot_is_asked_for_its_own_names_only(is_px4: bool) -> None:
+    asked = names_to_ask({}, is_px4)
+    assert set(asked) <= NAMES and len(set(asked)) == len(asked)
+    assert ("MPC_XY_CRUISE" in asked, "WPNAV_SPEED" in asked, "RTL_ALT" in asked) == (is_px4, not is_px4, not is_px4)
+    assert names_to_ask(dict.fromkeys(NAMES, 1.0), is_px4) == []
 
 
 def test_a_return_speed_of_zero_is_that_of_the_mission() -> None:
