@@ -15,7 +15,14 @@ from uavbatt.navigation import Action, MissionItem, Mode, Navigation, Position
 from uavbatt.prediction.flight_lessons import UNTOLD_WIND_SD_MS, WIND_SD_MS
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_load import RouteLoad, airspeed_bends, airspeed_slopes, factors, wind_errors_ms
+from uavbatt.prediction.route_load import (
+    RouteLoad,
+    airspeed_bends,
+    airspeed_slopes,
+    factors,
+    fast_shares,
+    wind_errors_ms,
+)
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
 from uavbatt.prediction.route_pieces import LegTiming, Pieces
 from uavbatt.prediction.route_progress import Progress
@@ -185,6 +192,16 @@ def test_a_wind_that_nobody_tells_asks_the_power_of_the_airspeed_that_it_makes()
     assert told == 0.0
     in_wind_W = still.flown_W * np.exp((slope + untold * head_ms) * head_ms)
     assert in_wind_W == pytest.approx(load_at(9.0 + head_ms).flown_W)
+
+
+def test_steep_flight_counts_as_fast_flight() -> None:
+    """Its power is as unsure: at 1.5 m/s of climb wholly, at half of that by half; a descent does not count."""
+    level = load_at(3.0)
+    at_climb = [
+        replace(level, ahead=level.ahead._replace(pieces=level.ahead.pieces._replace(climb_ms=np.array([climb_ms]))))
+        for climb_ms in (-3.0, 0.0, 0.75, 1.5, 3.0)
+    ]
+    assert [float(fast_shares(load)[0]) for load in at_climb] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
 
 
 def test_the_wind_is_drawn_beside_level_fast_flight_and_time() -> None:

@@ -221,3 +221,17 @@ def test_an_aircraft_that_climbs_at_once_is_told_from_one_that_climbs_along_the_
     assert climbed((2.5, 1.5)).lessons.climbs_first
     assert not climbed((20.0 / 60.0, 20.0 / 60.0)).lessons.climbs_first
     assert not Progress().lessons.climbs_first  # before anything was flown
+
+
+def test_an_aircraft_takes_off_by_its_mode_or_by_its_item() -> None:
+    line = mission(to(1, 0.0, 0.0, HEIGHT_M, action=Action.TAKEOFF), *(to(k, LEG_M * k, 0.0, HEIGHT_M) for k in (2, 3)))
+    taking_off = {}
+    for mode in (Mode.TAKEOFF, Mode.MANUAL, Mode.MISSION):
+        for item in (1, 2):
+            known = seen(1.0, 0.0, 0.0, mission=line, mode=mode, current=item)
+            moves = Progress().after(1.0, known).flown(1.0, known)
+            assert moves is not None
+            taking_off[mode, item] = moves.taking_off
+    assert {asked for asked, is_so in taking_off.items() if is_so} == {
+        (Mode.TAKEOFF, 1), (Mode.TAKEOFF, 2), (Mode.MISSION, 1)
+    }  # fmt: skip
