@@ -324,6 +324,19 @@ def test_a_line_says_that_the_flight_home_is_assumed() -> None:
     assert "flight home" not in route(replace(ends_there, mode=Mode.RETURN)).assumed  # it flies home already
 
 
+def test_a_return_that_has_begun_is_flown_on_as_it_is_seen() -> None:
+    """At 12 m and 9 m/s: it was said to climb to its usual height first, and to fly at its usual speed."""
+    position = at(FAR_M, 12.0)
+    moving = replace(position, east_ms=-9.0)
+    unstated = replace(SETTINGS, return_height_m=math.nan, return_ms=math.nan, cruise_ms=math.nan)
+    now = replace(waiting_at(FAR_M), mode=Mode.RETURN, position=moving, settings=unstated)
+    seen, stated = route(now), route(replace(now, settings=replace(SETTINGS, return_height_m=12.0, return_ms=9.0)))
+    assert (seen.left_s, seen.home_soc) == pytest.approx((stated.left_s, stated.home_soc), rel=1e-3)
+    assert "return at" not in seen.assumed
+    climbing = route(replace(now, position=position, settings=SETTINGS))  # to 30 m
+    assert climbing.left_s > route(replace(now, settings=SETTINGS)).left_s + 10.0
+
+
 def test_a_wind_that_the_vehicle_does_not_tell_is_said_and_allowed_for() -> None:
     """In still air the turn-back of an aircraft that had to come home against 7 m/s was 95 s late."""
     untold, calm = route(waiting_at(3000.0)), route(waiting_at(3000.0, Wind(0.0, 0.01)))

@@ -19,7 +19,7 @@ from uavbatt.navigation import Mode, Navigation, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, returned
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
-from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
+from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, is_over_home, overdue
 from uavbatt.prediction.route_return import RETURN_SPEEDS_MS, landing, possible_returns, return_reason, way_home
 from uavbatt.prediction.route_track import WayBack, way_back
 from uavbatt.records import NAN
@@ -132,13 +132,16 @@ def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ah
 
 
 def homes_from(progress: Progress, navigation: Navigation) -> tuple[HomeFrom, ...]:
-    """Return the function that gives the legs home from any place at which the aircraft turns.
+    """Return functions that give the legs home from any place at which the aircraft turns: of each possible way.
 
-    They are several if a return has not begun, and the vehicle has not stated its height or speed.
+    There are several if no return has begun, and the vehicle has not stated its height or speed.
     """
-    if navigation.mode in RETURNS:
-        return (_home_from(progress, navigation),)
-    return ways_home(navigation.settings)
+    if navigation.mode not in RETURNS:
+        return ways_home(navigation.settings)
+    back = _track_home(progress, navigation)
+    if back is not None:
+        return (partial(back.legs, settings=navigation.settings),)
+    return (partial(way_home, settings=_of_present_return(navigation)),)
 
 
 def ways_home(settings: ReturnSettings) -> tuple[HomeFrom, ...]:
@@ -146,17 +149,12 @@ def ways_home(settings: ReturnSettings) -> tuple[HomeFrom, ...]:
     return tuple(partial(way_home, settings=possible) for possible in possible_returns(settings))
 
 
-def _home_from(progress: Progress, navigation: Navigation) -> HomeFrom:
-    """Return the function that gives the legs of the present return from any place."""
-    back = _track_home(progress, navigation)
-    return partial(way_home if back is None else back.legs, settings=navigation.settings)
-
-
 def _legs_home(here: Point, progress: Progress, navigation: Navigation) -> tuple[Leg, ...]:
     """Return the legs home from here; a straight return has begun already if the mode says so."""
-    if navigation.mode in RETURNS and _track_home(progress, navigation) is None:
-        return _begun(here, navigation)
-    return _home_from(progress, navigation)(here)
+    if navigation.mode not in RETURNS:
+        return way_home(here, navigation.settings)
+    back = _track_home(progress, navigation)
+    return _begun(here, navigation) if back is None else back.legs(here, navigation.settings)
 
 
 def _track_home(progress: Progress, navigation: Navigation) -> WayBack | None:
@@ -179,16 +177,19 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
     Over home it waits until it descends; when this wait began is not known.
     """
-    position, settings = navigation.position, navigation.settings
-    is_over_home = math.hypot(here.north_m, here.east_m) < OVER_HOME_M
-    if is_over_home and (position is None or not position.up_ms > -LEAST_SINKING_MS):
-        return landing(here, settings, -1)
+    position = navigation.position
+    if is_over_home(navigation) and (position is None or not position.up_ms > -LEAST_SINKING_MS):
+        return landing(here, navigation.settings, -1)
+    return way_home(here, _of_present_return(navigation))
+
+
+def _of_present_return(navigation: Navigation) -> ReturnSettings:
+    """Return the settings of a return that has begun, for what is left of it: once it moves, its climb is over."""
+    position, settings = navigation.position, replace(navigation.settings, return_climb_min_m=NAN)
     speed_ms = math.hypot(position.north_ms, position.east_ms) if position is not None else 0.0
     if speed_ms > FARTHEST_HOVER_MS:
-        settings = replace(_with_speed(settings, speed_ms), return_height_m=0.0)
-    elif is_over_home:
-        settings = replace(settings, return_height_m=0.0)
-    return way_home(here, replace(settings, return_climb_min_m=NAN))
+        return replace(_with_speed(settings, speed_ms), return_height_m=0.0)
+    return replace(settings, return_height_m=0.0) if is_over_home(navigation) else settings
 
 
 def _with_speed(settings: ReturnSettings, speed_ms: float) -> ReturnSettings:

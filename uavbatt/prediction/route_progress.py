@@ -197,7 +197,7 @@ class Progress(NamedTuple):
                 return None
             wind_north_ms, wind_east_ms = self.lessons.wind
             north_ms, east_ms = position.north_ms - wind_north_ms, position.east_ms - wind_east_ms
-            over_home = navigation.mode is Mode.RETURN and _is_over_home(navigation)
+            over_home = navigation.mode is Mode.RETURN and is_over_home(navigation)
             landing = navigation.mode is Mode.LAND or over_home or self._phase(navigation) is Phase.LANDING
             return Movement(math.hypot(north_ms, east_ms), position.up_ms, self._takes_off(navigation), landing)
         if navigation.mode is not Mode.MISSION or not self.is_on_path:
@@ -246,7 +246,8 @@ def here_at(time_s: float, navigation: Navigation) -> Point | None:
     return place(home, position)
 
 
-def _is_over_home(navigation: Navigation) -> bool:
+def is_over_home(navigation: Navigation) -> bool:
+    """Return True if the aircraft is over its home."""
     if navigation.position is None or navigation.home is None:
         return False
     here = place(navigation.home, navigation.position)
