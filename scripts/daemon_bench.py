@@ -38,6 +38,11 @@ class FakeLink:
     def write(self, data: bytes, now_s: float) -> None:
         self.sent.append(data)
 
+    @property
+    def messages(self) -> list[Any]:
+        """Return what was written, as messages."""
+        return [dialect.MAVLink(None).decode(bytearray(data)) for data in self.sent]
+
     def close(self) -> None:
         pass
 

@@ -10,6 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 EPOCH_S = 1_700_000_000.0
+HOME_POSITION = dialect.MAVLink_home_position_message(470000000, 80000000, 400000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
 
 
 def frame(message: Any, time_s: float, system: int = 1) -> bytes:

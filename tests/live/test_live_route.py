@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
+from frames import HOME_POSITION
 from live_rig import free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -71,7 +72,7 @@ def test_what_passes_is_known_and_a_recording_says_the_same(tmp_path: Path) -> N
     bench = Bench(record=RecordSection(folder=str(tmp_path), when="always"))
     bench.send(heartbeat(True, 3))
     bench.send(dialect.MAVLink_param_value_message(b"RTL_ALT", 3000.0, 9, 1, 0))
-    bench.send(dialect.MAVLink_home_position_message(470000000, 80000000, 400000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
+    bench.send(HOME_POSITION)
     live = []
     for k in range(20):
         if k == 5:
@@ -91,7 +92,7 @@ def test_what_passes_is_known_and_a_recording_says_the_same(tmp_path: Path) -> N
 
 def test_a_new_recording_begins_with_the_mission(tmp_path: Path) -> None:
     bench = Bench(record=RecordSection(folder=str(tmp_path), when="always"))
-    bench.send(dialect.MAVLink_home_position_message(470000000, 80000000, 400000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
+    bench.send(HOME_POSITION)
     for k in range(3):
         second(bench, k)
     upload(bench)

@@ -208,7 +208,7 @@ def test_an_autopilot_that_sends_no_battery_is_asked_for_it() -> None:
         bench.send(heartbeat(False), system=5)
         bench.daemon.turn()
         bench.now_s += 1.0
-    asked = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    asked = bench.link.messages
     assert {m.target_system for m in asked if m.get_type() == "COMMAND_LONG"} == {5}
 
 
@@ -290,7 +290,7 @@ def test_two_sources_of_one_battery_that_disagree_are_refused(what: str) -> None
                 assert (now["batteries"][0]["soc"], now["batteries"][0]["remaining_s"]) == (None, None)
             now_s[0] += 0.25
         assert daemon.board.counts["rows"] == 150  # the second sender's are not taken in
-        texts = [dialect.MAVLink(None).decode(bytearray(data)) for data in station.sent]
+        texts = station.messages
         said = [m.text for m in texts if m.get_type() == "STATUSTEXT"]
         assert said == ["Battery 0: time unknown, two senders disagree"]
 
@@ -307,7 +307,7 @@ def test_a_stream_that_goes_on_from_another_port_is_the_same_aircraft(gap_s: flo
             if k >= 100:  # the first is believed until it has been silent for two seconds
                 assert daemon.board.reports[0].at(now_s[0]).remaining_s > 0.0, k
             assert daemon.board.notes == (), k
-        said = [dialect.MAVLink(None).decode(bytearray(data)) for data in station.sent]
+        said = station.messages
         assert not [m.text for m in said if m.get_type() == "STATUSTEXT" and "two senders" in m.text]
 
 

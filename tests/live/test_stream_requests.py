@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from daemon_bench import Bench
+from frames import HOME_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
@@ -15,7 +16,6 @@ from uavbatt.navigation import NOWHERE
 from uavbatt.simulate.tlog_writer import heartbeat
 
 PLACE = dialect.MAVLink_global_position_int_message(0, 470000000, 80000000, 420_000, 20_000, 0, 0, 0, 0)
-HOME = dialect.MAVLink_home_position_message(470000000, 80000000, 400_000, 0.0, 0.0, 0.0, [1, 0, 0, 0], 0.0, 0.0, 0.0)
 
 
 def flown(bench: Bench, seconds: float, *heard: object) -> Counter[int]:
@@ -30,7 +30,7 @@ def flown(bench: Bench, seconds: float, *heard: object) -> Counter[int]:
 
 def asked_for(bench: Bench) -> Counter[int]:
     """How often each message of route and place was asked for, and nothing else was commanded."""
-    sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    sent = bench.link.messages
     commands = [m for m in sent if m.get_type() == "COMMAND_LONG"]
     assert {m.command for m in commands} <= {dialect.MAV_CMD_SET_MESSAGE_INTERVAL}
     of_route = [m for m in commands if int(m.param1) in RATES_Hz]
@@ -61,8 +61,8 @@ def test_the_pauses_between_two_requests_grow() -> None:
 
 def test_only_what_is_not_heard_is_asked_for() -> None:
     current, wind = dialect.MAVLink_mission_current_message(1), dialect.MAVLink_wind_message(90.0, 3.0, 0.0)
-    assert flown(bench(), 30.0, PLACE, HOME, current, wind) == {}
-    assert set(flown(bench(), 30.0, PLACE, HOME, current)) == {168}
+    assert flown(bench(), 30.0, PLACE, HOME_POSITION, current, wind) == {}
+    assert set(flown(bench(), 30.0, PLACE, HOME_POSITION, current)) == {168}
 
 
 def test_a_position_that_falls_silent_is_asked_for_again() -> None:

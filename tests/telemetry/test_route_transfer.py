@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from frames import HOME_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.navigation import Mission, Mode
@@ -278,7 +279,7 @@ def test_garbage_refuses_the_route_and_nothing_else() -> None:
 
 def test_place_wind_home_and_progress() -> None:
     passing = Passing().said(
-        dialect.MAVLink_home_position_message(470000000, 80000000, 400000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0),
+        HOME_POSITION,
         dialect.MAVLink_vfr_hud_message(7.5, 8.0, 0, 50, 450.0, 1.0),
         dialect.MAVLink_global_position_int_message(0, 470010000, 80020000, 450000, 50000, 100, -200, 30, 0),
         dialect.MAVLink_wind_message(270.0, 6.0, 0.0),

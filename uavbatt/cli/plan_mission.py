@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +25,7 @@ MOST_LEGS = 40  # lines on a terminal
 def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMission:
     """Return a mission with the aircraft that flies it, and the wind. Raises UsageError if a file lacks something."""
     from uavbatt.battery import vehicle_file
+    from uavbatt.navigation import ReturnSettings, completed
     from uavbatt.plan.mission import PlannedMission
 
     (read, home), flown = mission_from_home(mission), vehicle_file.read_vehicle(vehicle)
@@ -34,9 +34,8 @@ def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMi
             f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
         )
     air = stated_wind(wind)
-    settings = replace(flown.usual, is_px4=not read.mission.has_home_item)
-    if math.isfinite(read.cruise_ms):
-        settings = replace(settings, cruise_ms=read.cruise_ms)
+    stated = ReturnSettings(cruise_ms=read.cruise_ms, is_px4=not read.mission.has_home_item)
+    settings = completed(stated, flown.usual)
     return PlannedMission(read.mission, home, settings, flown.powers, air)
 
 

@@ -59,8 +59,9 @@ class Sender:
         own = self._out(system, link.own_component)
         to_gcs, to_autopilot = self._heartbeats(now_s, own)
         if vehicle is not None:
-            to_gcs += self._feeds(now_s, reports, vehicle, reader.navigation, own)
-            to_autopilot += self._asked(now_s, reader, vehicle, own)
+            navigation, has_mission = reader.navigation, reader.planned is not None
+            to_gcs += self._feeds(now_s, reports, vehicle, navigation, own)
+            to_autopilot += self._asked(now_s, vehicle, navigation, own, has_mission=has_mission)
         for frame in to_autopilot:
             if may_reach_autopilot(header(frame).message_id, link.request, link.request_mission):
                 self._link.write(frame, now_s)
@@ -94,20 +95,22 @@ class Sender:
             made += self._component.frames(now_s, reports, vehicle.battery_ids, out)
         return made
 
-    def _asked(self, now_s: float, reader: LiveReader, vehicle: Vehicle, own: Outgoing) -> list[bytes]:
+    def _asked(
+        self, now_s: float, vehicle: Vehicle, navigation: Navigation, own: Outgoing, *, has_mission: bool
+    ) -> list[bytes]:
         """Return the requests to the autopilot that are due, as far as the operator allows them."""
         component, known, link = vehicle.component or 1, vehicle.parameters, self._config.link
         made: list[bytes] = []
         if link.request:
-            is_px4, navigation = vehicle.is_px4 is True, reader.navigation
-            names, is_copter = parameter_names(vehicle.battery_ids, is_px4), navigation.mode is not Mode.UNKNOWN
+            is_px4, is_copter = vehicle.is_px4 is True, navigation.mode is not Mode.UNKNOWN
+            names = parameter_names(vehicle.battery_ids, is_px4)
             if is_copter:
                 made += self._streams.frames(now_s, vehicle.now_s, navigation, is_px4, component, own)
             if is_copter and navigation.has_way:
                 names += names_to_ask(known.known, is_px4)
             made += self.requests.again(now_s, component, known.doubted, own)
             made += self.requests.frames(now_s, component, known.known, names, own)
-        if link.request_mission and reader.planned is None:
+        if link.request_mission and not has_mission:
             made += self._mission.frames(now_s, vehicle.now_s, vehicle.route, component, own)
         return made
 

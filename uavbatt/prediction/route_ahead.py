@@ -19,7 +19,7 @@ from uavbatt.navigation import Mode, Navigation, ReturnSettings
 from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, returned
 from uavbatt.prediction.route_pieces import LegTiming, Pieces, joined
-from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, is_over_home, overdue
+from uavbatt.prediction.route_progress import Progress, here_at, is_over_home, overdue
 from uavbatt.prediction.route_return import RETURN_SPEEDS_MS, landing, possible_returns, return_reason, way_home
 from uavbatt.prediction.route_track import WayBack, way_back
 from uavbatt.records import NAN
@@ -165,7 +165,7 @@ def _track_home(progress: Progress, navigation: Navigation) -> WayBack | None:
 def _heads_home(here: Point, navigation: Navigation) -> bool:
     """Return True if the aircraft flies straight towards home, or is there: the rest of its track is then a line."""
     distance_m, position = math.hypot(here.north_m, here.east_m), navigation.position
-    if distance_m < OVER_HOME_M or position is None:
+    if position is None or is_over_home(navigation):
         return True
     speed_ms = math.hypot(position.north_ms, position.east_ms)
     homeward_ms = -(position.north_ms * here.north_m + position.east_ms * here.east_m) / distance_m

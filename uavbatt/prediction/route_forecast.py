@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
-from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.navigation import UNSTATED, Mode, Navigation
 from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import Draws, Flying, start_draws
+from uavbatt.prediction.draws import Flying, start_draws
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
 from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws
@@ -85,9 +84,10 @@ def powers_of(load: Load) -> Powers:
 
 def with_usual(navigation: Navigation, load: Load, progress: Progress) -> Navigation:
     """Return the navigation with the speeds of the vehicle file, or seen in flight, where the vehicle states none."""
-    if isinstance(load, LearnedLoad):
-        navigation = navigation.with_usual(load.usual)
-    return navigation.with_usual(ReturnSettings(seen_ms=progress.seen_ms)) if progress.seen_ms > 0.0 else navigation
+    usual = load.usual if isinstance(load, LearnedLoad) else UNSTATED
+    if progress.seen_ms > 0.0:
+        usual = replace(usual, seen_ms=progress.seen_ms)
+    return navigation if usual is UNSTATED else navigation.with_usual(usual)
 
 
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
@@ -159,21 +159,23 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        turning = partial(Turning, turn_at_s=turn_at_s, flown=flown, load=home, way=way)
-        asked = asked._replace(turnings=tuple(_each_way(turning, at_turn, flying, scenario, homes_from)))
+        every, least_soc = slice(None), sampling.least_soc(flying)
+        whole = Turning(at_turn, every, turn_at_s, flown, home, scenario, way, homes_from[0], least_soc)
+        asked = asked._replace(turnings=tuple(_each_way(whole, flying, homes_from)))
     return asked
 
 
-def _each_way(
-    turning: Callable[..., Turning], at_turn: Draws, flying: Flying, scenario: Array, homes_from: Sequence[HomeFrom]
-) -> Iterator[Turning]:
+def _each_way(whole: Turning, flying: Flying, homes_from: Sequence[HomeFrom]) -> Iterator[Turning]:
     """Yield the draws that fly each of the ways home, which are equally likely: every n-th draw of n ways."""
-    least_soc = sampling.least_soc(flying)
     for number, home_from in enumerate(homes_from):
         which = slice(number, None, len(homes_from))
-        begun = start_draws(flying._replace(x=flying.x[:, which])).going_on(at_turn, which)
-        yield turning(
-            at_turn=begun, which=which, scenario=scenario[which], home_from=home_from, least_soc=least_soc[which]
+        begun = start_draws(flying._replace(x=flying.x[:, which])).going_on(whole.at_turn, which)
+        yield whole._replace(
+            at_turn=begun,
+            which=which,
+            scenario=whole.scenario[which],
+            home_from=home_from,
+            least_soc=whole.least_soc[which],
         )
 
 

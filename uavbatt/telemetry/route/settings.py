@@ -38,9 +38,10 @@ _ALL = (
     _LAND_FAST, _LAND_SLOW_BELOW, _CIRCLE_RADIUS, _CIRCLE_RATE, _ACCELERATION,
 )  # fmt: skip
 
-NAMES = frozenset(name for names in _ALL for name, _ in names) | {
-    _CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE,
-}  # fmt: skip
+_ALONE = (_CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE)
+_QUANTITIES = (*(tuple(name for name, _ in names) for names in _ALL), *((name,) for name in _ALONE))
+
+NAMES = frozenset(name for names in _QUANTITIES for name in names)
 """The parameters that this module reads."""
 
 
@@ -49,9 +50,7 @@ def names_to_ask(known: Mapping[str, float], is_px4: bool) -> list[str]:
 
     An ArduCopter has either the old name or the new one, and does not answer to the other.
     """
-    alone = (_PX4_TYPE, _CONE_ANGLE_DEG, _PX4_MIN_DIST, _PX4_DESCEND_ALT) if is_px4 else (_CONE_SLOPE, _RALLY, _TERRAIN)
-    quantities = [tuple(name for name, _ in names) for names in _ALL] + [(name,) for name in alone]
-    unknown = (name for names in quantities if not any(name in known for name in names) for name in names)
+    unknown = (name for names in _QUANTITIES if known.keys().isdisjoint(names) for name in names)
     return [name for name in unknown if (name.startswith("MPC_") or name in _ONLY_PX4) is is_px4]
 
 
