@@ -12,10 +12,9 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
+from uavbatt.navigation import METRES_PER_DEGREE, Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import TakeOff, resolve
 from uavbatt.plan.mission import MissionPlan, PlannedMission, make_route_plan
-from uavbatt.prediction.route_path import METRES_PER_DEGREE
 
 POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
 HOME = Home(47.0, 8.0, 400.0)

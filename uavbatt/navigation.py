@@ -16,6 +16,7 @@ from uavbatt.nan_equal import nan_equal
 
 NAN = math.nan
 FRESH_S = 5.0  # an older position is not used
+METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 ALOFT_M, ALOFT_MS = 5.0, 5.0  # so high or so fast an armed aircraft is in the air
 
 
@@ -171,6 +172,13 @@ class Position:
     east_ms: float = NAN
     up_ms: float = NAN
     airspeed_ms: float = NAN
+
+
+def offset_m(place: Home | Position, lat_deg: float, lon_deg: float) -> tuple[float, float]:
+    """Return how far north and east of a place another one lies [m]."""
+    east_deg = math.remainder(lon_deg - place.lon_deg, 360.0)  # the short way round, also across 180°
+    east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(place.lat_deg))
+    return (lat_deg - place.lat_deg) * METRES_PER_DEGREE, east_m
 
 
 @nan_equal

@@ -16,7 +16,18 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, EstimatorMemory
-from uavbatt.navigation import UNSTATED, Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
+from uavbatt.navigation import (
+    METRES_PER_DEGREE,
+    UNSTATED,
+    Action,
+    Frame,
+    Mission,
+    MissionItem,
+    Mode,
+    Navigation,
+    Position,
+    Wind,
+)
 from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction import flight_lessons
@@ -25,7 +36,6 @@ from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, MODEL_SD, FlightLesso
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import LearnedLoad
-from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.records import Estimate, PackFacts, Remaining, Route, Sample
 
 ROWS = 60

@@ -9,9 +9,8 @@ from dataclasses import replace
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
-from uavbatt.navigation import Action, MissionItem, Mode, Navigation, Position, ReturnSettings, Wind
+from uavbatt.navigation import METRES_PER_DEGREE, Action, MissionItem, Mode, Navigation, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_ahead import Ahead, ahead
-from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.simulate.route import RouteFlight, route_flight
 
@@ -84,6 +83,30 @@ def test_a_return_whose_climb_ends_elsewhere_is_followed(height_m: float) -> Non
     flight = flight_of(UP, FAR, RETURN, settings=replace(WAITS, return_height_m=height_m))
     for said_s, true_s in touchdowns(flight, WAITS):
         assert said_s == pytest.approx(true_s, abs=35.0)
+
+
+@pytest.mark.parametrize("away_m", [8.0, 40.0], ids=["gust", "leap"])
+def test_a_wait_goes_on_where_the_place_is_off_for_a_moment(away_m: float) -> None:
+    """The autopilot does not begin its wait anew: a wait of 40 minutes was begun anew at each gust."""
+    flight = flight_of(UP, replace(FAR, hold_s=900.0), RETURN)
+
+    def blown(time_s: float) -> Position:
+        here = flight.position(time_s)
+        return replace(here, lat_deg=here.lat_deg + away_m * (time_s % 60.0 < 2.0) / METRES_PER_DEGREE)
+
+    for said_s, true_s in touchdowns(flight, SETTINGS, blown):
+        assert said_s == pytest.approx(true_s, abs=12.0 + 0.03 * true_s)
+
+
+def test_a_wait_counts_where_the_height_has_drifted() -> None:
+    flight = flight_of(UP, replace(FAR, hold_s=900.0), RETURN)
+
+    def drifted(time_s: float) -> Position:
+        here = flight.position(time_s)
+        return replace(here, height_m=here.height_m + 9.0 * (time_s > 60.0))
+
+    for said_s, true_s in touchdowns(flight, SETTINGS, drifted):
+        assert said_s == pytest.approx(true_s, abs=25.0 + 0.03 * true_s)
 
 
 def test_turns_are_flown_around_their_circle() -> None:

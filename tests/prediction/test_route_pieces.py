@@ -11,7 +11,7 @@ import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery.powers import TURN_S, power, terms
-from uavbatt.navigation import Action, MissionItem, Mode, Navigation, Position
+from uavbatt.navigation import METRES_PER_DEGREE, Action, MissionItem, Mode, Navigation, Position
 from uavbatt.prediction.flight_lessons import UNTOLD_WIND_SD_MS, WIND_SD_MS
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_legs import Point
@@ -23,7 +23,7 @@ from uavbatt.prediction.route_load import (
     fast_shares,
     wind_errors_ms,
 )
-from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
+from uavbatt.prediction.route_path import path
 from uavbatt.prediction.route_pieces import LegTiming, Pieces
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Z90

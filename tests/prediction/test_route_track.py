@@ -10,10 +10,9 @@ import pytest
 from route_rig import HOME, SETTINGS
 
 from uavbatt.estimator import Estimator
-from uavbatt.navigation import Mode, Navigation, Position
+from uavbatt.navigation import METRES_PER_DEGREE, Mode, Navigation, Position
 from uavbatt.prediction.route_ahead import Ahead, home_now, why_no_home
 from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.route_track import way_back
 from uavbatt.records import Route, Sample

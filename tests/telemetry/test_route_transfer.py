@@ -165,6 +165,17 @@ def test_a_download_that_breaks_off_takes_nothing_away() -> None:
     assert not passing.listener.wants_mission
 
 
+def test_a_station_that_reads_the_mission_again_does_not_interrupt_the_route() -> None:
+    passing, again = Passing().said(*downloaded(ROUTE)), downloaded(ROUTE)
+    known = passing.mission
+    for message in again:
+        passing.said(message)
+        assert not passing.listener.now.transferring
+        assert passing.mission is known
+    passing.said(*downloaded(ROUTE[:4])[:2])  # of another length: this may be another mission
+    assert passing.listener.now.transferring
+
+
 def test_an_upload_that_is_refused_before_its_first_item_takes_nothing_away() -> None:
     passing = Passing().said(*downloaded(ROUTE))
     passing.heard(count(900, VEHICLE)).said(ack(4))

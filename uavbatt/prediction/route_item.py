@@ -12,6 +12,7 @@ from uavbatt.navigation import Position
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 
 ARRIVED_M = 4.0
+STANDING_MS = 1.0  # an aircraft that stands within ASTRAY_M of a leg's end waits there: its height may have drifted
 DOWN_M = 0.5
 ASTRAY_M = 15.0  # a climb ends, and a descent begins, at most so far from the planned place
 SINKING_MS = 0.2  # a slower fall is a wait at another height than planned
@@ -26,13 +27,18 @@ def item_end(legs: Sequence[Leg], at: int) -> int:
     return end
 
 
-def is_there(leg: Leg, here: Point) -> bool:
+def is_there(leg: Leg, here: Point, position: Position | None) -> bool:
     """Return True if the aircraft is at the leg's end; False for a landing or a circle, which have no wait there."""
     if leg.phase is Phase.LANDING or leg.circle_m > 0.0:
         return False
     if leg.phase is Phase.HOME and leg.run_m > 0.0:
         return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at any height
-    return math.dist(here, leg.end) < ARRIVED_M
+    away_m = math.dist(here, leg.end)
+    return away_m < ARRIVED_M or (leg.hold_s > 0.0 and away_m < ASTRAY_M and _stands(position))
+
+
+def _stands(position: Position | None) -> bool:
+    return position is not None and math.hypot(position.north_ms, position.east_ms, position.up_ms) < STANDING_MS
 
 
 def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, waited_s: float) -> bool:

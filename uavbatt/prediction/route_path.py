@@ -11,11 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
+from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind, offset_m
 from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, edge, left_at, legs_table
 from uavbatt.prediction.route_return import LegSpeeds, finite_or, landing, return_reason, speeds_of, way_home
 
-METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 MOST_LEGS = 2000
 ENDLESS_S = 1e6  # a loiter without end
 SPLINE_LENGTHENS = 1.06
@@ -43,9 +42,7 @@ class Path:
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
     """Return a place as a point in metres around home."""
-    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, also across 180°
-    east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
-    return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
+    return Point(*offset_m(home, lat_deg, lon_deg), height_m)
 
 
 def place(home: Home, position: Position) -> Point:

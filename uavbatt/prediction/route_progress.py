@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.battery.powers import Powers, terms
-from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings
+from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings, offset_m
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
@@ -23,6 +23,7 @@ AIRBORNE_M = 1.0
 ASTRAY, ASTRAY_S = 0.1, 4.0  # a new item may be reported some seconds late
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 LEAST_SEEN_MS, SEEN_STEP_MS = 2.0, 0.5
+AGREEING_MS = 4.0  # between the velocity told and that of two positions
 STEADY_MS = 0.3  # change of velocity in TOLD_PERIOD_S of a hover in gusts
 
 
@@ -141,9 +142,11 @@ class Progress(NamedTuple):
         here = here_at(time_s, navigation)
         if here is None or not self.is_on_path:
             return self
-        moved, legs = self._arrived(time_s, here), self.path.legs[self.item]
+        moved, legs = self._arrived(time_s, here, navigation), self.path.legs[self.item]
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
-            moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(time_s, here)
+            moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(
+                time_s, here, navigation
+            )
         if moved.is_timed and moved.behind == 0 and moved.leg.phase is Phase.ROUTE and not moved.leg.circle_m > 0.0:
             return moved._replace(lessons=moved.lessons.with_climb(moved.leg, here, row_s))
         return moved
@@ -166,12 +169,10 @@ class Progress(NamedTuple):
             leg_since_s=self.leg_since_s + row_s, behind_s=self.behind_s + row_s, arrived_s=NAN, is_timed=False
         )
 
-    def _arrived(self, time_s: float, here: Point) -> Progress:
-        """Note since when the aircraft waits at the end of its leg."""
-        is_at_end = is_there(self.leg, here)
-        if is_at_end and not math.isfinite(self.arrived_s):
-            return self._replace(arrived_s=time_s)
-        return self if is_at_end else self._replace(arrived_s=NAN)
+    def _arrived(self, time_s: float, here: Point, navigation: Navigation) -> Progress:
+        """Note since when the aircraft waits at the end of its leg; a gust does not begin the wait anew."""
+        is_new = not math.isfinite(self.arrived_s) and is_there(self.leg, here, navigation.position)
+        return self._replace(arrived_s=time_s) if is_new else self
 
     def _is_over(self, following: Leg, here: Point, time_s: float, navigation: Navigation) -> bool:
         """Return True if the leg that is flown is over, and the next leg of its item has begun."""
@@ -272,8 +273,16 @@ def _since_s(before: Position | None, now: Position | None) -> float:
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """Return True if the velocity is kept or not known; in a corner the power is that of the turn."""
+    """Return True if the velocity is kept or not known; in a corner the power is that of the turn.
+
+    A velocity that the positions deny is a fault of the receiver.
+    """
     if before is None or now is None:
         return now is None
+    since_s = _since_s(before, now)
     change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
-    return change_ms <= STEADY_MS * max(_since_s(before, now) / TOLD_PERIOD_S, 1.0)
+    if not change_ms <= STEADY_MS * max(since_s / TOLD_PERIOD_S, 1.0):
+        return False
+    north_m, east_m = offset_m(before, now.lat_deg, now.lon_deg)
+    denied_m = math.hypot(north_m - now.north_ms * since_s, east_m - now.east_ms * since_s)
+    return denied_m <= AGREEING_MS * max(since_s, TOLD_PERIOD_S)

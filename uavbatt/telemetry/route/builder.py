@@ -10,11 +10,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Position, Wind
+from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Position, Wind, offset_m
 from uavbatt.telemetry.route import settings
+from uavbatt.telemetry.route.position_check import PositionCheck
 
 POSITION_STEP_S = 0.2  # positions that come faster say nothing more of minutes to come
 AIRSPEED_AGE_S = 3.0  # an older airspeed is not used
+FASTEST_WIND_MS = 40.0  # in which no aircraft flies that we know: a fault of the estimate
+FARTHEST_HOME_M = 100_000.0  # a home that is farther away is a fault
 
 
 class NavigationBuilder:
@@ -28,6 +31,7 @@ class NavigationBuilder:
         self._is_px4 = False
         self._stated, self._rally_points = NOWHERE.settings, 0  # by the parameters alone, and by the mission protocol
         self._airspeed_ms, self._airspeed_at_s = NAN, -math.inf
+        self._check = PositionCheck()
 
     @property
     def now(self) -> Navigation:
@@ -88,8 +92,11 @@ class NavigationBuilder:
             self._change(time_s, reached=seq)
 
     def home(self, time_s: float, home: Home) -> None:
-        """Take the home position; an impossible position changes nothing."""
-        if _is_place(home.lat_deg, home.lon_deg) and not _is_same(home, self._known["home"]):
+        """Take the home position; an impossible one, or one that is out of all reach, changes nothing."""
+        if not _is_place(home.lat_deg, home.lon_deg) or _is_same(home, self._known["home"]):
+            return
+        here: Position | None = self._known["position"]
+        if here is None or math.hypot(*offset_m(home, here.lat_deg, here.lon_deg)) <= FARTHEST_HOME_M:
             self._change(time_s, home=home)
 
     def parameter(self, time_s: float, name: str, value: float) -> None:
@@ -128,7 +135,7 @@ class NavigationBuilder:
         self, time_s: float, lat_deg: float, lon_deg: float, height_m: float,
         north_ms: float = NAN, east_ms: float = NAN, up_ms: float = NAN,
     ) -> None:  # fmt: skip
-        """Take the position of the aircraft; impossible positions, and those that come too fast, are skipped."""
+        """Take the position of the aircraft; impossible positions, leaps, and those that come too fast are skipped."""
         last = self._known["position"]
         if last is not None and 0.0 <= time_s - last.time_s < POSITION_STEP_S:
             return
@@ -136,7 +143,9 @@ class NavigationBuilder:
             return
         airspeed_ms = self._airspeed_ms if time_s - self._airspeed_at_s <= AIRSPEED_AGE_S else NAN
         place = Position(time_s, lat_deg, lon_deg, height_m, north_ms, east_ms, up_ms, airspeed_ms)
-        self._change(time_s, position=place)
+        believed = self._check.believed(place)
+        if believed is not None:
+            self._change(time_s, position=believed)
 
     def airspeed(self, time_s: float, airspeed_ms: float) -> None:
         """Take the airspeed for the next position; 0 is unknown, as a copter without an estimate sends it."""
@@ -144,8 +153,8 @@ class NavigationBuilder:
             self._airspeed_ms, self._airspeed_at_s = airspeed_ms, time_s
 
     def wind(self, time_s: float, north_ms: float, east_ms: float, sd_ms: float = NAN) -> None:
-        """Take the wind; exactly 0 is unknown, as an autopilot without an estimate sends it."""
-        if math.isfinite(north_ms) and math.isfinite(east_ms) and (north_ms or east_ms):
+        """Take the wind, unless it is impossible; exactly 0 is unknown: an autopilot without an estimate sends it."""
+        if 0.0 < math.hypot(north_ms, east_ms) <= FASTEST_WIND_MS:
             self._change(time_s, wind=Wind(north_ms, east_ms, sd_ms))
 
     def landed(self, time_s: float, is_landed: bool | None) -> None:

@@ -90,7 +90,7 @@ class NavigationListener:
             read(time_s, message)
         elif message_id in OF_OTHERS:
             self._transfers(time_s, message_id, message, is_upload=False)
-        self.builder.transferring(time_s, self.transfer.is_open)
+        self.builder.transferring(time_s, self.transfer.may_change(self.builder.held))
 
     def take_other(self, time_s: float, message_id: int, message: Any) -> None:
         """Take a message of another station to the autopilot."""
@@ -100,7 +100,7 @@ class NavigationListener:
         if message_id in OF_OTHERS:
             self.transfer.of_another(time_s)
             self._transfers(time_s, message_id, message, is_upload=True)
-        self.builder.transferring(time_s, self.transfer.is_open)
+        self.builder.transferring(time_s, self.transfer.may_change(self.builder.held))
 
     def _transfers(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
         is_all = message.mission_type == _ALL and message_id == MISSION_CLEAR_ALL

@@ -38,6 +38,11 @@ class Transfer:
         """Return True if a mission is being transferred, or if an upload broke off."""
         return self._count is not None or self._in_doubt
 
+    def may_change(self, known: Mission | None) -> bool:
+        """Return True if the mission may be another one after what is open; a station that reads it changes nothing."""
+        is_read_again = known is not None and not self._is_upload and self._count == len(known.items)
+        return self.is_open and (self._in_doubt or not is_read_again)
+
     def is_others(self, time_s: float) -> bool:
         """Return True if another station has been transferring a mission in the last seconds before `time_s` [s]."""
         return time_s - self._others_heard_s <= TRANSFER_SILENT_S
