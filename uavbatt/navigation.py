@@ -119,6 +119,7 @@ class Home:
     lat_deg: float
     lon_deg: float
     alt_m: float = NAN
+    is_of_mission: bool = False  # item 0 of an ArduPilot's mission said so, no HOME_POSITION
 
 
 @nan_equal

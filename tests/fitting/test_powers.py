@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import accumulate
 
 import msgspec
 import numpy as np
@@ -24,7 +25,7 @@ from uavbatt.battery.powers import (
 from uavbatt.battery.vehicle_file import Speeds
 from uavbatt.fitting.powers import FAST_SD, powers
 from uavbatt.fitting.vehicle import speeds
-from uavbatt.navigation import Mode, Navigation, Position, ReturnSettings
+from uavbatt.navigation import METRES_PER_DEGREE, Mode, Navigation, Position, ReturnSettings
 from uavbatt.records import Flight, Sample
 
 TRUE = msgspec.structs.replace(UNKNOWN, hover_W=250.0, induced=0.45, drag=0.2, climb=0.07, fast_climb=0.08, flights=4)
@@ -34,6 +35,13 @@ def asked_W(of: Powers, airspeed_ms: float, climb_ms: float, level: float = 1.0)
     return float(power(of, terms(airspeed_ms, climb_ms, 0.0, 0.0, of.induced_ms), level))
 
 
+def seen(second: int, north_m: float, speed_ms: float, climb_ms: float = 0.0) -> Navigation:
+    """What is known of a pilot's aircraft that flies to the north."""
+    lat_deg = HOME.lat_deg + north_m / METRES_PER_DEGREE
+    here = Position(float(second), lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, climb_ms)
+    return Navigation(time_s=float(second), mode=Mode.MANUAL, home=HOME, position=here)
+
+
 def flight(level: float = 1.0) -> Flight:
     """A pilot's flight through every speed and climb, each held for half a minute."""
     held = [(v, c) for v in (0.0, 4.0, 8.0, 12.0, 15.0) for c in (-1.5, 0.0, 2.0)]
@@ -41,9 +49,8 @@ def flight(level: float = 1.0) -> Flight:
     for k in range(30 * len(held)):
         speed_ms, climb_ms = held[k // 30]
         watts = asked_W(TRUE, speed_ms, climb_ms, level)
-        here = Position(float(k), HOME.lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, climb_ms)
         samples.append(Sample(float(k), 15.0, watts / 15.0))
-        known.append(Navigation(time_s=float(k), mode=Mode.MANUAL, home=HOME, position=here))
+        known.append(seen(k, sum(v for v, _ in held[: k // 30]) * 30.0 + speed_ms * (k % 30), speed_ms, climb_ms))
     return Flight("flown", "test", tuple(samples), navigation=tuple(known))
 
 
@@ -55,15 +62,8 @@ def flown_at(speed_ms: float, seconds: int, scale: float) -> list[tuple[float, f
 def joined(*parts: list[tuple[float, float]]) -> Flight:
     rows = [row for part in parts for row in part]
     samples = tuple(Sample(float(k), 15.0, watts / 15.0) for k, (_, watts) in enumerate(rows))
-    known = tuple(
-        Navigation(
-            time_s=float(k),
-            mode=Mode.MANUAL,
-            home=HOME,
-            position=Position(float(k), HOME.lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, 0.0),
-        )
-        for k, (speed_ms, _) in enumerate(rows)
-    )
+    run_m = accumulate(speed_ms for speed_ms, _ in rows)
+    known = tuple(seen(k, north_m, row[0]) for k, (row, north_m) in enumerate(zip(rows, run_m, strict=True)))
     return Flight("flown", "test", samples, navigation=known)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 from daemon_bench import Bench
 from frames import HOME_POSITION
@@ -10,12 +11,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection
-from uavbatt.live.stream_requests import MOST_ASKED, RATES_Hz, StreamRequests
+from uavbatt.live.stream_requests import MOST_ASKED, RATES_Hz, StreamRequests, unheard
 from uavbatt.mavlink.outgoing import Outgoing
-from uavbatt.navigation import NOWHERE
+from uavbatt.navigation import NOWHERE, Home
 from uavbatt.simulate.tlog_writer import heartbeat
 
 PLACE = dialect.MAVLink_global_position_int_message(0, 470000000, 80000000, 420_000, 20_000, 0, 0, 0, 0)
+
+HOME = dialect.MAVLINK_MSG_ID_HOME_POSITION
 
 
 def flown(bench: Bench, seconds: float, *heard: object) -> Counter[int]:
@@ -63,6 +66,12 @@ def test_only_what_is_not_heard_is_asked_for() -> None:
     current, wind = dialect.MAVLink_mission_current_message(1), dialect.MAVLink_wind_message(90.0, 3.0, 0.0)
     assert flown(bench(), 30.0, PLACE, HOME_POSITION, current, wind) == {}
     assert set(flown(bench(), 30.0, PLACE, HOME_POSITION, current)) == {168}
+
+
+def test_home_is_asked_for_where_only_the_mission_tells_it() -> None:
+    home = Home(47.0, 8.0, 400.0, is_of_mission=True)
+    assert HOME in unheard(replace(NOWHERE, home=home), 0.0, False)
+    assert HOME not in unheard(replace(NOWHERE, home=replace(home, is_of_mission=False)), 0.0, False)
 
 
 def test_a_position_that_falls_silent_is_asked_for_again() -> None:

@@ -70,10 +70,14 @@ def waiting_at(east_m: float, wind: Wind | None = None) -> Navigation:
 
 
 def row(k: int, now: Navigation) -> tuple[Sample, Navigation]:
-    """Row `k` of a hover under 180 W, a second after the one before, with what is known then."""
-    heard = replace(now, time_s=float(k), current_heard_s=float(k))
-    if now.position is not None:
-        heard = replace(heard, position=replace(now.position, time_s=float(k)))
+    """Row `k` under 180 W, a second after the last one, with what is known then; row ROWS is at the place of `now`."""
+    heard, here = replace(now, time_s=float(k), current_heard_s=float(k)), now.position
+    if here is not None:
+        east_m = here.east_ms * (k + 1 - ROWS)
+        north_deg = here.north_ms * (k + 1 - ROWS) / METRES_PER_DEGREE
+        east_deg = east_m / METRES_PER_DEGREE / math.cos(math.radians(here.lat_deg))
+        moved = replace(here, time_s=float(k), lat_deg=here.lat_deg + north_deg, lon_deg=here.lon_deg + east_deg)
+        heard = replace(heard, position=moved)
     return Sample(float(k), 15.0, 12.0, temp_C=25.0), heard
 
 
@@ -356,6 +360,14 @@ def test_a_wind_that_the_vehicle_does_not_tell_is_said_and_allowed_for() -> None
     assert "wind" not in calm.assumed
 
 
+def test_a_home_that_only_the_mission_tells_is_said_to_be_assumed() -> None:
+    told = waiting_at(FAR_M, Wind(0.0, 3.0))
+    assumed = replace(told, home=replace(HOME, is_of_mission=True))
+    assert route(assumed) == replace(route(told), assumed=route(assumed).assumed)
+    assert "home assumed where the autopilot's mission has it" in route(assumed).assumed
+    assert "home assumed where" not in route(told).assumed
+
+
 def test_a_line_has_the_keys_of_the_route_only_where_one_is_known() -> None:
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     estimate, remaining = estimator.step(Sample(0.0, 15.0, 12.0))
@@ -372,8 +384,7 @@ def test_a_flight_cut_short_says_the_same_up_to_there() -> None:
     base = known(leg_to(350.0))
 
     def navigation_at(time_s: float) -> Navigation:
-        assert base.position is not None
-        here = replace(base.position, time_s=time_s, east_ms=5.0)
+        here = replace(at(FAR_M + 5.0 * time_s, 350.0, time_s), east_ms=5.0)
         return replace(base, time_s=time_s, current_heard_s=time_s, position=here)
 
     def lines(count: int) -> list[object]:

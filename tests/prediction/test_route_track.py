@@ -22,10 +22,12 @@ UP = (0.0, 0.0, 40.0)
 Place = tuple[float, float, float]
 
 
-def position(time_s: float, place: Place) -> Position:
+def position(time_s: float, place: Place, before: Place) -> Position:
+    """Where an aircraft is, a second after it was at the place before."""
     north_m, east_m, height_m = place
+    moved_m = [now - then for now, then in zip(place, before, strict=True)]
     lon_deg = HOME.lon_deg + east_m / METRES_PER_DEGREE / math.cos(math.radians(HOME.lat_deg))
-    return Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, lon_deg, height_m, 0.0, 0.0, 0.0)
+    return Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, lon_deg, height_m, *moved_m)
 
 
 def along(*corners: Place) -> list[Place]:
@@ -48,14 +50,15 @@ class Flight:
     """A flight by hand, one place a second."""
 
     def __init__(self) -> None:
-        self.progress, self.time_s = Progress(), 0.0
+        self.progress, self.time_s, self.place = Progress(), 0.0, (0.0, 0.0, 0.0)
         self.heard: dict[float, Navigation] = {}
         self.now = Navigation(mode=Mode.MANUAL, home=HOME, settings=SETTINGS)
 
     def flies(self, *corners: Place, mode: Mode = Mode.MANUAL) -> Flight:
         for place in along(*corners):
             self.time_s += 1.0
-            self.now = replace(self.now, mode=mode, position=position(self.time_s, place))
+            self.now = replace(self.now, mode=mode, position=position(self.time_s, place, self.place))
+            self.place = place
             self.heard[self.time_s] = self.now
             self.progress = self.progress.after(self.time_s, self.now)
         return self

@@ -230,6 +230,12 @@ def test_a_mission_that_the_log_contradicts_is_unknown(folder: Path, tmp_path: P
     assert "another item 1" in found.reason
 
 
+def test_a_log_without_its_home_has_that_of_its_mission(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "homeless.BIN"
+    path.write_bytes((folder / "flight.BIN").read_bytes().replace(b"ORGN", b"ORGX"))
+    assert read_log(path).navigation[-1].home == replace(HOME, is_of_mission=True)
+
+
 def legs(known: Mission) -> Sequence[tuple[float, ...]]:
     flight = route_flight(known, HOME, Wind(0.0, 0.0), 0.0)
     return [(*leg.end, leg.moving_s, leg.hold_s) for leg in flight.legs]

@@ -10,7 +10,7 @@ import pytest
 from frames import HOME_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.navigation import Mission, Mode
+from uavbatt.navigation import Home, Mission, Mode
 from uavbatt.telemetry.route.messages import NavigationListener
 
 STATION = (255, 190)
@@ -106,6 +106,28 @@ def test_a_download_is_the_mission_when_its_last_item_has_passed() -> None:
     assert passing.mission.reason == ""
     assert not passing.listener.now.transferring
     assert passing.listener.now.mission_since_s == passing.time_s
+
+
+def test_home_is_where_an_ardupilots_mission_has_it_until_the_vehicle_tells_it() -> None:
+    """Item 0 of a mission that an ArduPilot tells is its home; HOME_POSITION is sent once, or on request."""
+    passing = Passing().said(*downloaded(ROUTE))
+    assert passing.listener.now.home == Home(47.0, 8.0, 400.0, is_of_mission=True)
+    passing.said(*downloaded([(0, 16, 47.002, 8.0, 410.0), *ROUTE[1:]]))  # it has been armed elsewhere
+    assert passing.listener.now.home == Home(47.002, 8.0, 410.0, is_of_mission=True)
+    passing.said(HOME_POSITION)
+    passing.said(*downloaded([(0, 16, 47.003, 8.0, 410.0), *ROUTE[1:]]))
+    assert passing.listener.now.home == Home(47.0, 8.0, 400.0)
+
+
+def test_a_mission_of_a_station_or_of_a_px4_tells_no_home() -> None:
+    """An ArduPilot keeps its own home when a station uploads; a PX4 flies to its first item."""
+    assert Passing().heard(*uploaded(ROUTE)).said(ack()).listener.now.home is None
+    assert Passing(px4=True).said(*downloaded(ROUTE)).listener.now.home is None
+    assert Passing().said(*downloaded([(0, 16, 0.0, 0.0, 0.0), *ROUTE[1:]])).listener.now.home is None
+    assert Passing().said(*downloaded([(3, 16, 47.0, 8.0, 40.0), *ROUTE[1:]])).listener.now.home is None
+    early = Passing(beats=False).said(*downloaded(ROUTE))
+    assert early.listener.now.home is None
+    assert early.said(beat(px4=False)).listener.now.home is not None
 
 
 def test_an_upload_counts_when_the_autopilot_has_accepted_it() -> None:

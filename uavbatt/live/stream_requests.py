@@ -22,7 +22,7 @@ def unheard(navigation: Navigation, time_s: float, is_px4: bool) -> list[int]:
     is_heard = {
         GLOBAL_POSITION_INT: at is not None and time_s - at.time_s <= SILENT_S,
         MISSION_CURRENT: time_s - navigation.current_heard_s <= SILENT_S,
-        HOME_POSITION: navigation.home is not None,
+        HOME_POSITION: navigation.home is not None and not navigation.home.is_of_mission,
         WIND_COV if is_px4 else WIND: navigation.wind is not None,
     }
     return [message_id for message_id, heard in is_heard.items() if not heard]

@@ -37,6 +37,7 @@ HORIZON_SHARE = 1.3  # of the time at the typical power; no draw turns back late
 # Route and way home cost as much work as the end itself. They are worked out anew after this share of the time at the
 # typical power, but not within 4 s and at least every 10 s; in between the last answer counts down.
 WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
+HOME_OF_MISSION = "home assumed where the autopilot's mission has it: the vehicle has not told its home"
 STILL_AIR = "still air assumed: the vehicle has not told its wind"
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
@@ -100,7 +101,11 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
         home_reason = home_reason or UNTOLD_POWER
-    assumed = ["" if returning else return_assumed(navigation.settings), "" if known.is_wind_told else STILL_AIR]
+    assumed = [
+        HOME_OF_MISSION if navigation.home is not None and navigation.home.is_of_mission else "",
+        "" if returning else return_assumed(navigation.settings),
+        "" if known.is_wind_told else STILL_AIR,
+    ]
     if isinstance(route, str):
         return ToCome(load, name, route, None, home_reason, returning, "" if home_reason else _joined(assumed))
     if isinstance(load, LearnedLoad | UnknownAircraft):

@@ -72,9 +72,9 @@ def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterato
         for (place, at_s), mode in zip(_rows(table, time_s), _modes(table), strict=True):
             yield place, (at_s, builder.mode, (mode,))
     elif name == "ORGN":
-        for place, at_s, kind, *home in _rows(table, time_s, "Type", "Lat", "Lng", "Alt"):
+        for place, at_s, kind, lat_deg, lon_deg, alt_m in _rows(table, time_s, "Type", "Lat", "Lng", "Alt"):
             if kind == _HOME_TYPE:
-                yield place, (at_s, builder.home, (Home(*home),))
+                yield place, (at_s, builder.home, (Home(lat_deg, lon_deg, alt_m),))
     elif name == "EV":
         for place, at_s, event in _rows(table, time_s, "Id"):
             if event in (_LANDED, _NOT_LANDED):
@@ -101,7 +101,9 @@ class _Mission:
         if fields.seq == len(self._items) and fields.seq < total:
             self._items.append(item)
             if len(self._items) == total:
-                self._builder.mission(time_s, mission(self._items, SOURCE))
+                read = mission(self._items, SOURCE)
+                self._builder.mission(time_s, read)
+                self._builder.home_of(time_s, read)
                 self._items = []
             return
         self._items = [item] if fields.seq == 0 and total > 1 else []

@@ -61,7 +61,8 @@ def _events(name: str, data: Any, topics: dict[str, Any], ulog: Any, builder: Na
             if total > 0 and reached >= 0:
                 yield t, builder.reached, (int(reached),)
     elif name == "home_position":
-        yield from ((t, builder.home, (Home(*place),)) for t, *place in _rows(time_s, data, "lat", "lon", "alt"))
+        for t, lat_deg, lon_deg, alt_m in _rows(time_s, data, "lat", "lon", "alt"):
+            yield t, builder.home, (Home(lat_deg, lon_deg, alt_m),)
     elif name == "vehicle_land_detected":
         yield from ((t, builder.landed, (bool(is_so),)) for t, is_so in _rows(time_s, data, "landed"))
     elif name in ("wind", "wind_estimate"):

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Position, Wind, offset_m
+from uavbatt.navigation import NAN, NOWHERE, Frame, Home, Mission, Mode, Navigation, Position, Wind, offset_m
 from uavbatt.telemetry.route import settings
 from uavbatt.telemetry.route.position_check import PositionCheck
 
@@ -98,6 +98,12 @@ class NavigationBuilder:
         here: Position | None = self._known["position"]
         if here is None or math.hypot(*offset_m(home, here.lat_deg, here.lon_deg)) <= FARTHEST_HOME_M:
             self._change(time_s, home=home)
+
+    def home_of(self, time_s: float, mission: Mission) -> None:
+        """Take home from a mission that an autopilot told: item 0 of an ArduPilot's. A home told by itself stays."""
+        known, first = self._known["home"], mission.items[0] if mission.has_home_item and mission.items else None
+        if first is not None and first.frame is Frame.SEA and (known is None or known.is_of_mission):
+            self.home(time_s, Home(first.lat_deg, first.lon_deg, first.alt_m, is_of_mission=True))
 
     def parameter(self, time_s: float, name: str, value: float) -> None:
         """Take a vehicle parameter, if it is of speeds or of the way home."""

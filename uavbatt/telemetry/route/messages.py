@@ -118,7 +118,10 @@ class NavigationListener:
             self._part(time_s, message)
         else:
             self.transfer.takes(time_s, mission_item(_fields(message_id, message), self._is_px4 is True), is_upload)
-        self._hold(time_s, self.transfer.whole(SOURCE, self._is_px4 is not True))
+        read = self.transfer.whole(SOURCE, self._is_px4 is not True)
+        self._hold(time_s, read)
+        if read is not None and self._is_px4 is False:  # an upload is not read: the autopilot keeps its own home
+            self.builder.home_of(time_s, read)
 
     def _rally(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
         """Count rally points in a transfer; points written to the autopilot count once it has acknowledged them."""
