@@ -78,7 +78,8 @@ def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
     ]
 
 
-def _run(flight: Flight, known: Known, load: Load) -> list[ReplayedRow]:
+def run_of(flight: Flight, known: Known, load: Load) -> list[ReplayedRow]:
+    """Return the flight as it is forecast with a load, row by row."""
     return list(steps(flight, Estimator(known.battery, known.pack, ForecastSettings(load))))
 
 
@@ -89,8 +90,8 @@ def _scored(
     without = replace(flight, navigation=())
     runs = {
         ROUTE: run,
-        LEARNED: _run(without, known, known.library),
-        LOG: _run(without, known, logged(flight)),
+        LEARNED: run_of(without, known, known.library),
+        LOG: run_of(without, known, logged(flight)),
     }
     name = Path(flight.source).stem
     said = {**{method: ours(lines) for method, lines in runs.items()}, **peer_lines(known.peers, flight.samples)}
@@ -114,7 +115,7 @@ def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]
             if not math.isfinite(span_s[1]):
                 continue
             say(f"routes: {name}")
-            run = _run(logs[name], known, known.library)
+            run = run_of(logs[name], known, known.library)
             for method, score in _scored(logs[name], known, span_s, run).items():
                 found.setdefault(method, []).append(score)
     return found
@@ -134,17 +135,12 @@ def _span_s(flight: Flight, cutoff_V: float, loaded_A: float) -> tuple[float, fl
 
 def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], dict[str, list[FlightScore]]]:
     say("routes: learning battery and vehicle of the simulated missions")
-    pack, battery = truth.PACK, truth.truth_battery(data)
-    learn = [read_log(path) for path in sorted((data / "missions/learn").glob("*.tlog"))]
-    answers = data / "missions/answers"
-    emptied = [(f, end_s) for f in learn if (end_s := _answer(answers, Path(f.source).stem)["end_s"]) is not None]
-    peers = calibrated(truth.CELLS, truth.CAPACITY_AH, emptied)
-    known = Known(battery, pack, learned_load(fit_vehicle("learn", learn, battery, pack)), peers)
+    known = known_of_missions(data)
     missions, scores = [], dict[str, list[FlightScore]]()
     for path in sorted((data / "missions/practice").glob("*.tlog")):
         say(f"routes: {path.stem}")
-        flight, answer = read_log(path), _answer(answers, path.stem)
-        run = _run(flight, known, known.library)
+        flight, answer = read_log(path), answer_of(data, path.stem)
+        run = run_of(flight, known, known.library)
         missions.append(Mission(path.stem, answer, run, _unheard(flight, known), turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
@@ -154,18 +150,28 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
     return missions, scores
 
 
+def known_of_missions(data: Path) -> Known:
+    """Return the battery of the simulated missions, and what vehicle and peers learn from those of `learn`."""
+    pack, battery = truth.PACK, truth.truth_battery(data)
+    learn = [read_log(path) for path in sorted((data / "missions/learn").glob("*.tlog"))]
+    emptied = [(f, end_s) for f in learn if (end_s := answer_of(data, Path(f.source).stem)["end_s"]) is not None]
+    peers = calibrated(truth.CELLS, truth.CAPACITY_AH, emptied)
+    return Known(battery, pack, learned_load(fit_vehicle("learn", learn, battery, pack)), peers)
+
+
 def _unheard(flight: Flight, known: Known) -> dict[str, list[ReplayedRow]]:
     """Return the flight as it is forecast where nobody states speeds and heights, and where nobody tells the wind."""
     unstated = tuple(replace(now, settings=UNSTATED) for now in flight.navigation)
     untold = tuple(replace(now, wind=None) for now in flight.navigation)
     return {
-        "no parameters": _run(replace(flight, navigation=unstated), known, replace(known.library, usual=UNSTATED)),
-        "no wind": _run(replace(flight, navigation=untold), known, known.library),
+        "no parameters": run_of(replace(flight, navigation=unstated), known, replace(known.library, usual=UNSTATED)),
+        "no wind": run_of(replace(flight, navigation=untold), known, known.library),
     }
 
 
-def _answer(folder: Path, name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())
+def answer_of(data: Path, name: str) -> dict[str, Any]:
+    """Return the true values of a simulated mission."""
+    found: dict[str, Any] = json.loads((data / "missions/answers" / f"{name}.json").read_text())
     return found
 
 
@@ -194,14 +200,16 @@ def _turn_backs(missions: list[Mission]) -> Table:
     """Return errors of the turn-back at instants before the true one, and the time of the first "turn back now"."""
     head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "turn back now")
     there = [m for m in missions if m.answer["turn_back_s"] is not None]
-    found = [_turn_back(mission, mission.run) for mission in there]
+    found = [turn_back_errors(mission.answer["turn_back_s"], mission.run) for mission in there]
     rows = [(mission.name, one.cells) for mission, one in zip(there, found, strict=True)]
-    rows.append((f"{ROUTE}: MAE [s]", _turn_back_means(found)))
+    rows.append((f"{ROUTE}: MAE [s]", turn_back_means(found)))
     for what in there[0].unheard:
-        means = _turn_back_means([_turn_back(mission, mission.unheard[what]) for mission in there])
+        means = turn_back_means(
+            [turn_back_errors(mission.answer["turn_back_s"], mission.unheard[what]) for mission in there]
+        )
         rows.append((f"{ROUTE}, {what} heard: MAE [s]", means))
     for peer in there[0].peers:
-        rows.append((f"{peer}: MAE [s]", _turn_back_means([_peer_turn_back(mission, peer) for mission in there])))
+        rows.append((f"{peer}: MAE [s]", turn_back_means([_peer_turn_back(mission, peer) for mission in there])))
     note = "Positive: too late. No number counts as 0. In the last column the peers' zero, without an interval."
     return grid("Simulated missions: error of turn_back_s [s]", head, rows, note)
 
@@ -221,8 +229,9 @@ class TurnBackErrors(NamedTuple):
         return [*(figure(error_s, sign=True) for error_s in self.errors_s), f"{figure(self.alarm_s, sign=True)} s"]
 
 
-def _turn_back(mission: Mission, run: list[ReplayedRow]) -> TurnBackErrors:
-    true_s, errors = mission.answer["turn_back_s"], []
+def turn_back_errors(true_s: float, run: list[ReplayedRow]) -> TurnBackErrors:
+    """Return the errors of the turn-back of one flight whose true turn-back is at `true_s` [s]."""
+    errors = []
     for before_s in BEFORE_TURN_S:
         route = _in_force(run, true_s - before_s)
         errors.append(route.turn_back_s - before_s if route is not None else math.nan)
@@ -238,7 +247,7 @@ def _peer_turn_back(mission: Mission, peer: str) -> TurnBackErrors:
     return TurnBackErrors(errors, float(first_s) - true_s)
 
 
-def _turn_back_means(found: list[TurnBackErrors]) -> list[str]:
+def turn_back_means(found: list[TurnBackErrors]) -> list[str]:
     """Return mean absolute errors over flights, and how often the alarm came early."""
     columns = zip(*(one.errors_s for one in found), strict=True)
     means = [
