@@ -10,6 +10,7 @@ from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, Return
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route_passed import Passed
 from uavbatt.prediction.route_path import Path, path, place
 from uavbatt.prediction.route_return import finite_or, speeds_of
 from uavbatt.prediction.route_track import Track
@@ -48,6 +49,7 @@ class Progress(NamedTuple):
     behind: int = 0  # number of legs of that item that are over, by position
     behind_s: float = NAN  # time at which the present leg began
     arrived_s: float = NAN  # time at which the aircraft arrived at that leg's end
+    passed: Passed = Passed()
     time_s: float = NAN
     told_s: float = NAN  # time at which the power was last compared with the model
     moved: Position | None = None  # position and velocity TOLD_PERIOD_S ago
@@ -102,8 +104,11 @@ class Progress(NamedTuple):
         since_s, began_s = max(navigation.current_since_s, moved.path_since_s), moved.leg_since_s
         if navigation.mode is Mode.MISSION and 0 <= moved.at < at and moved.is_timed and math.isfinite(began_s):
             moved = moved._replace(lessons=moved.lessons.with_timing(found.legs[moved.at : at], since_s - began_s))
-        is_timed = moved.path is self.path and _begins_as_planned(found.legs[at], here_at(time_s, navigation))
-        return moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, behind=0, behind_s=since_s, arrived_s=NAN)
+        here = here_at(time_s, navigation)
+        is_timed = moved.path is self.path and _begins_as_planned(found.legs[at], here)
+        passed = moved.passed.over(moved.path.legs[moved.item][-1], here) if moved.is_on_path else moved.passed
+        moved = moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, passed=passed)
+        return moved._replace(behind=0, behind_s=since_s, arrived_s=NAN)
 
     def _replanned(self, found: Path, is_same_mission: bool, time_s: float) -> Progress:
         """Return the progress on another path; the same mission with another home or speed keeps its progress."""
@@ -112,7 +117,7 @@ class Progress(NamedTuple):
         changed = self._replace(path=found, is_timed=False)  # the running leg began on the other path
         if self.known_by is not None and not is_same_mission:
             changed = changed._replace(path_since_s=time_s)
-        fresh = changed._replace(behind=0, behind_s=NAN, arrived_s=NAN)
+        fresh = changed._replace(behind=0, behind_s=NAN, arrived_s=NAN, passed=Passed())
         if not (is_same_mission and self.is_on_path and self._is_alike(found)):
             return fresh._replace(at=-1, leg_since_s=NAN)
         return fresh if found.legs[self.at].phase is Phase.HOME else changed  # a return flies to the new home
@@ -143,6 +148,8 @@ class Progress(NamedTuple):
         if here is None or not self.is_on_path:
             return self
         moved, legs = self._arrived(time_s, here, navigation), self.path.legs[self.item]
+        passed = moved.passed.at(legs[-1], here)
+        moved = moved if passed is moved.passed else moved._replace(passed=passed)
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
             moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(
                 time_s, here, navigation
@@ -257,6 +264,8 @@ def is_over_home(navigation: Navigation) -> bool:
 
 def overdue(progress: Progress, time_s: float, navigation: Navigation) -> str:
     """Return why the progress that the autopilot reports cannot be believed; empty when it can."""
+    if progress.passed.is_another_mission:
+        return "the aircraft flies another mission: it does not pass the places of this one"
     heard_s = time_s - navigation.current_heard_s
     if heard_s > SILENT_PROGRESS_S:
         return f"the autopilot has not said for {heard_s:.0f} s where on its mission it is"
