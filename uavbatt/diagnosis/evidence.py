@@ -27,7 +27,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import late_current
 from uavbatt.diagnosis.candidates import capacity_sd
-from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V, spacing_s
+from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -194,7 +194,7 @@ def prepare(
         full_soc=full_soc,
         charged_in_part=in_part,
         familiar=np.array([_cold(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
-        shows_delay=all(spacing_s(r) <= observed.BIN_S for r in records),
+        shows_delay=all(map(observed.is_fine, records)),
     )
 
 
@@ -262,8 +262,8 @@ def _voltage_whitener(
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, decay, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    noise_V = np.where(loaded, 0.0, noise_sd_V[1])
-    return _whitener(rows, ~loaded, kernel, np.maximum(noise_V, max(spread.voltage_noise_V, noise_sd_V[0])))
+    noise_V = np.where(loaded, noise_sd_V[0], noise_sd_V[1] or noise_sd_V[0])
+    return _whitener(rows, ~loaded, kernel, np.maximum(noise_V, spread.voltage_noise_V))
 
 
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:

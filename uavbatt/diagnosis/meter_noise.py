@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uavbatt.battery.initial_state import IDLE_C_RATE
@@ -9,10 +11,11 @@ from uavbatt.battery.model import Array
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord
 
-FAST_ROW_S = 1.5  # slower rows mix changes of the load with the noise
+FAST_ROW_S = 1.5  # between slower rows the polarisation follows the load
 SLOWEST_S = 60.0  # slower rows mix the bend of a discharge with the noise
 HELD_SHARE = 0.02  # of the upper current (90 % point), by which most rows of a held load differ at most
 LEAST_BENDS = 10  # fewer show no scatter
+NEARLY_ONE_MORE = 0.1  # rows of a little more than 1 s are five to a bin
 BENT_BY_ONE = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
 
 
@@ -20,28 +23,44 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     """Return the noise [V] of both sensors in the compared rows; 0 if rows are too slow to tell it from load.
 
     It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
-    and noise of one sensor alone is left, which the model cannot follow. Under a held load slow rows show the noise,
-    too, and no mean over BIN_S makes it smaller.
+    and noise of one sensor alone is left, which the model cannot follow. Between slow rows the voltage follows a change
+    of the load further than `ohm` [ohm] says, and no mean over BIN_S makes the noise smaller.
     """
     apart_s = spacing_s(record)
-    if apart_s > (SLOWEST_S if _holds_load(record) else FAST_ROW_S):
+    if apart_s > SLOWEST_S:
         return 0.0
+    if apart_s > FAST_ROW_S and not _holds_load(record):
+        ohm = _followed_ohm(record)
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    return float(observed.MAD_TO_SD * bent_V / np.sqrt(BENT_BY_ONE * max(observed.BIN_S / apart_s, 1.0)))
+    return _of_compared(float(bent_V), apart_s)
+
+
+def _of_compared(bent: float, apart_s: float) -> float:
+    """Return the noise of a compared row, a mean over BIN_S or one row, from the median second difference of rows.
+
+    Bins over rows every 2 s have two or three of them by turns: two count.
+    """
+    rows = max(math.floor(observed.BIN_S / apart_s + NEARLY_ONE_MORE), 1)
+    return observed.MAD_TO_SD * bent / math.sqrt(BENT_BY_ONE * rows)
+
+
+def _followed_ohm(record: ObservedRecord) -> float:
+    """Return by how much the voltage follows the current from row to row [ohm], by least squares."""
+    bent_V, bent_A = np.diff(record.voltage_V, 2), np.diff(record.current_A, 2)
+    return max(float(-(bent_V @ bent_A) / (bent_A @ bent_A)), 0.0)
 
 
 def noise_K(record: ObservedRecord) -> float:
-    """Return the noise [K] of single temperatures from their second differences; 0 for means, and for slow rows.
+    """Return the noise [K] of the compared temperatures from second differences; 0 for fast and for very slow rows.
 
-    The noise that a file states is of means over BIN_S: a single reading has more. Of means the file knows the noise
-    better than one record does, whose scatter would hide what moves the temperature.
+    The noise that a file states is of means of many rows over BIN_S: a mean of two, or a single reading, has more. Of
+    fast rows the file knows the noise better than one record does, whose scatter would hide what moves the temperature.
     """
-    shown = observed.binned(record)
-    bent_K = np.diff(shown.temp_C[np.isfinite(shown.temp_C)], 2)
-    is_single = observed.FINE_SHARE * observed.BIN_S <= spacing_s(record) <= SLOWEST_S
-    if not is_single or bent_K.size < LEAST_BENDS:
+    apart_s = spacing_s(record)
+    bent_K = np.diff(record.temp_C[np.isfinite(record.temp_C)], 2)
+    if not FAST_ROW_S < apart_s <= SLOWEST_S or bent_K.size < LEAST_BENDS:
         return 0.0
-    return float(observed.MAD_TO_SD * np.median(np.abs(bent_K)) / np.sqrt(BENT_BY_ONE))
+    return _of_compared(float(np.median(np.abs(bent_K))), apart_s)
 
 
 def _holds_load(record: ObservedRecord) -> bool:
