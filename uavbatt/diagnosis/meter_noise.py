@@ -14,7 +14,8 @@ from uavbatt.fitting.observed import ObservedRecord
 FAST_ROW_S = 1.5  # between slower rows the polarisation follows the load
 SLOWEST_S = 60.0  # slower rows mix the bend of a discharge with the noise
 HELD_SHARE = 0.02  # of the upper current (90 % point), by which most rows of a held load differ at most
-LEAST_BENDS = 10  # fewer show no scatter
+LEAST_BENDS, LEAST_RESTED = 10, 30  # fewer show no scatter
+FAR_ABOVE = 4.0 / 3.0  # so much above that of the file is the scatter of single flights
 NEARLY_ONE_MORE = 0.1  # rows of a little more than 1 s are five to a bin
 BENT_BY_ONE = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
 
@@ -50,17 +51,19 @@ def _followed_ohm(record: ObservedRecord) -> float:
     return max(float(-(bent_V @ bent_A) / (bent_A @ bent_A)), 0.0)
 
 
-def noise_K(record: ObservedRecord) -> float:
-    """Return the noise [K] of the compared temperatures from second differences; 0 for fast and for very slow rows.
+def noise_K(record: ObservedRecord, stated_K: float) -> float:
+    """Return the noise [K] of the compared temperatures from second differences; `stated_K` [K] unless it is far off.
 
-    The noise that a file states is of means of many rows over BIN_S: a mean of two, or a single reading, has more. Of
-    fast rows the file knows the noise better than one record does, whose scatter would hide what moves the temperature.
+    The noise that a file states is of means over BIN_S in its own records: a mean of fewer rows, or a single reading,
+    has more. If it is as large as usual, the file knows it better than one record does, whose scatter would hide what
+    moves the temperature.
     """
     apart_s = spacing_s(record)
     bent_K = np.diff(record.temp_C[np.isfinite(record.temp_C)], 2)
-    if not FAST_ROW_S < apart_s <= SLOWEST_S or bent_K.size < LEAST_BENDS:
-        return 0.0
-    return _of_compared(float(np.median(np.abs(bent_K))), apart_s)
+    if apart_s > SLOWEST_S or bent_K.size < LEAST_BENDS:
+        return stated_K
+    seen_K = _of_compared(float(np.median(np.abs(bent_K))), apart_s)
+    return seen_K if seen_K > FAR_ABOVE * stated_K else stated_K
 
 
 def _holds_load(record: ObservedRecord) -> bool:
@@ -70,7 +73,7 @@ def _holds_load(record: ObservedRecord) -> bool:
 
 
 def resting_noise_V(records: list[ObservedRecord]) -> float:
-    """Return the noise [V] of the voltmeter in slow rows at rest before the load; 0 if there are none.
+    """Return the noise [V] of the voltmeter in slow rows at rest before the load; 0 if there are few.
 
     A bench often writes a row every 10 s and lets the pack rest for a minute first. There no load changes, so that
     second differences show the noise at any spacing. All records count together, because one has few such rows. Without
@@ -78,7 +81,7 @@ def resting_noise_V(records: list[ObservedRecord]) -> float:
     """
     bent_V = [np.diff(_rested_V(observed.binned(r)), 2) for r in records if spacing_s(r) > FAST_ROW_S]
     together = np.concatenate([np.zeros(0), *bent_V])
-    return float(np.sqrt(np.mean(together**2) / BENT_BY_ONE)) if together.size else 0.0
+    return float(np.sqrt(np.mean(together**2) / BENT_BY_ONE)) if together.size >= LEAST_RESTED else 0.0
 
 
 def spacing_s(record: ObservedRecord) -> float:
