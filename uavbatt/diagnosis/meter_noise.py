@@ -1,4 +1,4 @@
-"""Noise of the voltage that is left in the rows of a record, estimated from the rows themselves."""
+"""Noise of voltage and temperature in the compared rows of a record, estimated from its rows themselves."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ def _of_compared(bent: float, apart_s: float) -> float:
 def _followed_ohm(record: ObservedRecord) -> float:
     """Return by how much the voltage follows the current from row to row [ohm], by least squares."""
     bent_V, bent_A = np.diff(record.voltage_V, 2), np.diff(record.current_A, 2)
-    return max(float(-(bent_V @ bent_A) / (bent_A @ bent_A)), 0.0)
+    square = float(bent_A @ bent_A)
+    return max(-float(bent_V @ bent_A) / square, 0.0) if square > 0.0 else 0.0
 
 
 def noise_K(record: ObservedRecord, stated_K: float) -> float:
