@@ -185,10 +185,7 @@ def prepare(
             _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
             for j, r in enumerate(records)
         ),
-        temps=tuple(
-            _temperature_whitener(stack, j, spread, noise_K(r, spread.temperature_noise_K))
-            for j, r in enumerate(records)
-        ),
+        temps=tuple(_temperature_whitener(stack, j, spread, r) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
@@ -287,14 +284,14 @@ def _cold(spread: Wander, start_C: float) -> float:
     return float(2.0 ** (max(spread.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
 
 
-def _temperature_whitener(stack: Stack, j: int, spread: Wander, noise_sd_K: float) -> Whitener | None:
+def _temperature_whitener(stack: Stack, j: int, spread: Wander, record: ObservedRecord) -> Whitener | None:
     rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
     if rows.size < LEAST_TEMPERATURES:
         return None
     time_s = stack.time_s[rows, j]
     decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.temperature_time_s)
     nowhere = np.zeros(rows.size, dtype=bool)
-    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, noise_sd_K)
+    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, noise_K(record, spread.temperature_noise_K))
 
 
 def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: Array | float) -> Whitener:
