@@ -9,10 +9,10 @@ from msgspec.structs import replace
 
 from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehicle
+from uavbatt.navigation import METRES_PER_DEGREE
 
 ITEMS, SPACING_M, SPEED_MS, HEIGHT_M = 200, 20.0, 5.0, 30
 HOME_LAT_DEG, HOME_LON_DEG = 47.0, 8.0
-METRES_PER_DEGREE = 111_194.9
 AUTO = 3  # of ArduCopter
 
 

@@ -19,9 +19,9 @@ from uavbatt.navigation import METRES_PER_DEGREE
 
 Fault = Callable[[Any, float], bool]  # changes a message at a time since the log's start [s]; False drops it
 PERIOD_S, LASTS_S, BEGINS_S = 60.0, 3.0, 30.0
-FAR_DEG = 1e7 * 30_000.0 / METRES_PER_DEGREE  # in 1e-7 degrees
-NEAR_DEG = 1e7 * 300.0 / METRES_PER_DEGREE
-POLE_DEG = 9e8
+FAR_E7 = 1e7 * 30_000.0 / METRES_PER_DEGREE  # in 1e-7 degrees
+NEAR_E7 = 1e7 * 300.0 / METRES_PER_DEGREE
+POLE_E7 = 9e8
 WANDER_S, WANDER_M = 30.0, 3.0
 DRIFT_MS = 0.02
 
@@ -32,8 +32,8 @@ def changed(message_type: str, *, always: bool = False, **fields: Callable[[floa
     def fault(message: Any, time_s: float) -> bool:
         if message.get_type() == message_type and (always or is_on(time_s)):
             for name, change in fields.items():
-                value = change(getattr(message, name))
-                setattr(message, name, round(value) if isinstance(getattr(message, name), int) else value)
+                was = getattr(message, name)
+                setattr(message, name, round(change(was)) if isinstance(was, int) else change(was))
         return True
 
     return fault
@@ -100,8 +100,8 @@ def _without_velocity(message: Any, _: float) -> bool:
 
 FAULTS: dict[str, Callable[[], Fault]] = {
     "nothing": lambda: dropped(),
-    "place 300 m away": lambda: changed("GLOBAL_POSITION_INT", lat=lambda v: v + NEAR_DEG),
-    "place 30 km away": lambda: changed("GLOBAL_POSITION_INT", lat=lambda v: v + FAR_DEG),
+    "place 300 m away": lambda: changed("GLOBAL_POSITION_INT", lat=lambda v: v + NEAR_E7),
+    "place 30 km away": lambda: changed("GLOBAL_POSITION_INT", lat=lambda v: v + FAR_E7),
     "place of a receiver without a fix (0, 0)": lambda: changed(
         "GLOBAL_POSITION_INT", lat=lambda _: 0.0, lon=lambda _: 0.0
     ),
@@ -114,7 +114,7 @@ FAULTS: dict[str, Callable[[], Fault]] = {
     "wind of 80 m/s": lambda: changed("WIND", speed=lambda _: 80.0),
     "wind 1.7 times the true one, always": lambda: changed("WIND", always=True, speed=lambda v: 1.7 * v),
     "wind turned by 40°, always": lambda: changed("WIND", always=True, direction=lambda v: (v + 40.0) % 360.0),
-    "home at the pole": lambda: changed("HOME_POSITION", latitude=lambda _: POLE_DEG),
+    "home at the pole": lambda: changed("HOME_POSITION", latitude=lambda _: POLE_E7),
     "home never told, always": lambda: dropped("HOME_POSITION"),
     "item 0 told as the present one": lambda: changed("MISSION_CURRENT", seq=lambda _: 0.0),
     "mode GUIDED": lambda: changed("HEARTBEAT", custom_mode=lambda v: 4.0 if v == 3 else v),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -15,7 +15,6 @@ from uavbatt.prediction.route_progress import Progress
 LEG_M = 400.0
 ITEMS = range(1, 9)
 TRUE = mission(*(to(k, LEG_M * k, 0.0, 30.0) for k in ITEMS))
-Skips = Callable[[int], bool]
 
 
 def elsewhere(east_m: float, items: range = ITEMS) -> Mission:
