@@ -118,6 +118,21 @@ def _spikes(of: Readings) -> None:
     of.voltage_V[struck] *= of.dice.choice((0.3, 0.8, 1.2, 2.0), struck.sum())
 
 
+def _bursts(of: Readings, column: FloatArray, gains: tuple[float, ...]) -> None:
+    """Let some bursts of seconds read too much or too little."""
+    for _ in range(int(of.either(1, 3, 10))):
+        begin, rows = int(of.dice.integers(FIRST_ROW, column.size)), int(of.either(3, 6))
+        column[begin : begin + rows] *= of.either(*gains)
+
+
+def _bursts_of_current(of: Readings) -> None:
+    _bursts(of, of.current_A, (0.0, 3.0, 10.0))
+
+
+def _bursts_of_voltage(of: Readings) -> None:
+    _bursts(of, of.voltage_V, (0.5, 0.9, 1.05, 1.1))
+
+
 def _lost_rows(of: Readings) -> None:
     of.voltage_V[of.dice.random(of.voltage_V.size) < of.either(0.3, 0.6, 0.9)] = NAN
 
@@ -155,6 +170,8 @@ FAULTS: dict[str, Fault] = {
     "current is 2 or 8 s late": _late_current,
     "temperature is wrong": _wrong_temperature,
     "voltage has spikes": _spikes,
+    "current is 0, 3 or 10 times as much for 3 or 6 s": _bursts_of_current,
+    "voltage is 0.5 to 1.1 times as much for 3 or 6 s": _bursts_of_voltage,
     "30, 60 or 90 % of the rows are lost": _lost_rows,
     "a silence of 10, 60 or 300 s": _silence,
     "rows out of order within 2 or 5 s": _out_of_order,

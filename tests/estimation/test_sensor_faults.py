@@ -196,6 +196,19 @@ def test_a_voltage_that_rises_alone_has_no_number(gain: float, rate_Hz: float) -
     assert {e.status for e, _ in said if e.time_s > begin_s + 13.0} == {Status.REFUSED}
 
 
+@pytest.mark.parametrize("rate_Hz", [1.0, 4.0])
+@pytest.mark.parametrize(("gain", "first_s"), [(1.03, -300.0), (1.1, -300.0), (1.1, 90.0)])
+def test_a_voltage_that_rises_for_seconds_ends_no_number(gain: float, first_s: float, rate_Hz: float) -> None:
+    """It was refused for the rest of the flight; and it may rise again, for longer."""
+    sound = flight(rate_Hz, seed=12)
+    begin_s = sound[0].time_s + first_s if first_s > 0.0 else sound[-1].time_s + first_s
+    is_high = [0.0 < s.time_s - begin_s < 6.0 or s.time_s > begin_s + 60.0 for s in sound]
+    rows = [replace(s, voltage_V=s.voltage_V * (gain if high else 1.0)) for s, high in zip(sound, is_high, strict=True)]
+    said = said_after(rows, begin_s)
+    assert Status.REFUSED not in {e.status for e, _ in said if e.time_s < begin_s + 60.0}
+    assert {e.status for e, _ in said if e.time_s > begin_s + 73.0} == {Status.REFUSED}
+
+
 @pytest.mark.parametrize("late_s", [0.0, 5.0])
 def test_a_load_that_eases_is_no_voltage_that_rises_alone(late_s: float) -> None:
     """A climb ends; a current that is read every few seconds follows late."""

@@ -29,6 +29,7 @@ from uavbatt.records import NAN, Sample
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
+STAYS_S = 10.0  # a voltage above that at rest, in flight, must stay: a voltmeter may read too much for seconds
 LOADED_C_RATE = 0.4
 REVERSED_C_RATE = 0.1  # a sensor's offset on the ground is less
 REVERSED_S, REGENERATING_S = 15.0, 90.0  # longest charging by a current that never discharged, and by one that did
@@ -122,13 +123,27 @@ class Current(NamedTuple):
         )
 
 
+class Above(NamedTuple):
+    """Above holds the lowest voltage [V] of the rows in turn that are higher than any before, and since when [s]."""
+
+    voltage_V: float = math.inf
+    since_s: float = NAN
+
+    def after(self, time_s: float, volts: float) -> Above:
+        """Return the same with one more of these rows."""
+        return Above(min(volts, self.voltage_V), time_s if self is NOT_ABOVE else self.since_s)
+
+
+NOT_ABOVE = Above()
+
+
 class Statements(NamedTuple):
     """Statements sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
 
     voltages: FirstVoltages = FirstVoltages()
+    above: Above = NOT_ABOVE
     rows: int = 0
     time_s: float = NAN
-    voltage_V: float = NAN
     long_rows: int = 0  # in turn, LONGEST_ROW_S apart or more
     kelvin_rows: int = 0  # in turn
     current: Current = Current()
@@ -141,11 +156,13 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        voltages = self._highest_voltages(volts, self.current.load is NO_LOAD and is_at_rest(raw, pack.capacity_Ah))
+        is_flown = self.current.load is not NO_LOAD
+        is_idle = not is_flown and is_at_rest(raw, pack.capacity_Ah)
+        voltages, above = self._highest_voltages(time_s, volts, is_idle, STAYS_S if is_flown else 0.0)
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
         current = self.current.after(time_s, volts, current_A, voltages.rested_V, pack) if is_metered else self.current
-        return Statements(voltages, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
+        return Statements(voltages, above, self.rows + 1, time_s, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
         """Return the doubts about the statements, the certain ones first.
@@ -178,20 +195,27 @@ class Statements(NamedTuple):
 
     def with_voltage(self, volts: float, is_idle: bool) -> Statements:
         """Return the summary after a row of which only the voltage [V] is compared."""
-        return self._replace(voltages=self._highest_voltages(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
+        voltages, above = self._highest_voltages(0.0, volts, is_idle, 0.0)
+        return self._replace(voltages=voltages, above=above, rows=self.rows + 1)
 
-    def _highest_voltages(self, volts: float, is_idle: bool) -> FirstVoltages:
-        """Return the highest voltages that two rows in turn have shown, of all rows and of those at rest.
+    def _highest_voltages(
+        self, time_s: float, volts: float, is_idle: bool, stays_s: float
+    ) -> tuple[FirstVoltages, Above]:
+        """Return the highest voltages that rows in turn have shown, of all rows and of those at rest.
 
-        One row alone may be damaged. Rest ends with the first load.
+        stays_s : how long they must show it [s]. One row alone may be damaged. Rest ends with the first load.
         """
-        (first_V, rested_V), rows = self.voltages, self.rows
-        shown_V = min(volts, self.voltage_V) if rows else volts
-        if rows < 2 or shown_V > first_V:
-            first_V = shown_V
+        (first_V, rested_V), above = self.voltages, NOT_ABOVE
+        if self.rows < 2:
+            first_V = min(volts, first_V) if self.rows else volts
+        elif volts > first_V:
+            above = self.above.after(time_s, volts)
+            if self.above is not NOT_ABOVE and time_s - above.since_s >= stays_s:
+                first_V, above = above.voltage_V, Above(volts, time_s) if volts > above.voltage_V else NOT_ABOVE
         if is_idle:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
-        return self.voltages if (first_V, rested_V) == self.voltages else FirstVoltages(first_V, rested_V)
+        voltages = (first_V, rested_V)
+        return self.voltages if voltages == self.voltages else FirstVoltages(*voltages), above
 
 
 def _strong(load: Means, capacity_Ah: float) -> Doubt:

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.estimation.sensor_row import SensorRow
+from uavbatt.telemetry.cleaning.readings import ANSWER_SHARE
 
 LOADED_C_RATE = 0.4
 # A current that falls below FALLEN_SHARE of its recent mean must let the voltage rise. A voltage that is read a moment
@@ -58,6 +59,8 @@ class LoadWatch(NamedTuple):
     def after(self, row: SensorRow) -> LoadWatch:
         """Return the watch after one more row."""
         usual_A = self.recent.current_A
+        if row.current_A * FALLEN_SHARE > usual_A and not _has_sagged(row, self.recent):
+            return self
         if not usual_A >= LOADED_C_RATE * row.capacity_Ah or row.current_A > FALLEN_SHARE * usual_A:
             return LoadWatch(self.recent.after(row, RECENT_TAU_S))
         # The model sees a block of rows at once, so that its rise is whole only after a second or two.
@@ -69,6 +72,12 @@ class LoadWatch(NamedTuple):
             return LoadWatch(Recent().after(row, RECENT_TAU_S))
         since_s = self.gone_since_s if math.isfinite(self.gone_since_s) else row.time_s
         return LoadWatch(self.recent, fell_s, expected_rise_V, since_s if is_gone else math.nan)
+
+
+def _has_sagged(row: SensorRow, recent: Recent) -> bool:
+    """Return True if the voltage has fallen as a larger current lets it fall at least."""
+    more_C = (row.current_A - recent.current_A) / row.capacity_Ah
+    return row.voltage_V < (1.0 - ANSWER_SHARE * more_C) * recent.voltage_V
 
 
 class FallWatch(NamedTuple):
@@ -93,7 +102,8 @@ class FallWatch(NamedTuple):
 class RiseWatch(NamedTuple):
     """RiseWatch notices a voltage that rises at once under a load that stays: its meter has moved, not the pack.
 
-    What has risen for ROSE_S remains so for this pack, unless the current follows.
+    What has risen for ROSE_LATE_S remains so for this pack: by then the current has not followed, as it would have in a
+    load that eases, and the voltage has not gone back.
     """
 
     recent: Recent = Recent()
@@ -108,12 +118,16 @@ class RiseWatch(NamedTuple):
             return self
         off_V = row.voltage_V - row.predicted_V - recent.above_V
         rise_V = min(row.voltage_V - recent.voltage_V, off_V)
-        least_V = max(ROSE_CELL_V * row.cells, ROSE_SCATTERS * self.scatter_V)
-        least_V *= RETURNED_SHARE if math.isfinite(risen_s) else 1.0
+        least_V, has_risen = max(ROSE_CELL_V * row.cells, ROSE_SCATTERS * self.scatter_V), math.isfinite(risen_s)
         is_loaded = row.current_A > LOADED_C_RATE * row.capacity_Ah
-        stays = is_loaded and row.current_A > STAYED_SHARE * recent.current_A
-        if stays and (risen_s >= ROSE_S or (rise_V > least_V and self.loaded_s > ROSE_LOADED_S)):
-            return self if math.isfinite(risen_s) else self._replace(risen_since_s=row.time_s)
+        has_eased = row.current_A <= STAYED_SHARE * recent.current_A and not (has_risen and off_V > least_V)
+        least_V *= RETURNED_SHARE if has_risen else 1.0
+        stays = is_loaded and not has_eased
+        is_back = row.voltage_V - recent.voltage_V < least_V and row.current_A < recent.current_A / STAYED_SHARE
+        if stays and ((risen_s >= ROSE_S and not is_back) or (rise_V > least_V and self.loaded_s > ROSE_LOADED_S)):
+            return self if has_risen else self._replace(risen_since_s=row.time_s)
+        if is_back and risen_s >= ROSE_S:  # it may move again at once
+            return RiseWatch(Recent().after(row, ROSE_TAU_S), self.scatter_V, self.loaded_s)
         if not passed_s < ROSE_S:  # rows that are far apart tell no sudden rise
             return RiseWatch(Recent().after(row, ROSE_TAU_S))
         if off_V < -least_V:  # a row far below the others must not make those after it look risen

@@ -6,9 +6,10 @@ air for a voltage that falls within a second below 3 V a cell, by more than 1 V 
 discharge does that. A fall that one failing cell explains is used. The voltage is used again from 3 V a cell on. A
 temperature that a cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of
 the size can give is not used: with it the model would overflow. A current that leaps while the voltage stays where it
-was is not used for up to 2 s: it is a fault of the sensor, or the voltage is late. The voltage may have moved before
-it: then the current is late. A current that is missing for up to 5 s is held. Without a current sensor the current is
-worked out from the power that the operator stated, or from a typical power, and the filter gives it a wide error.
+was is not used for up to 2 s, and a rise not for up to 10 s, the longer the larger it is: it is a fault of the sensor,
+or the voltage is late. The voltage may have moved before it: then the current is late. A current that is missing for up
+to 5 s is held. Without a current sensor the current is worked out from the power that the operator stated, or from a
+typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class Cleaner(NamedTuple):
     stated_power_W: float = NAN
     hottest_start_C: float = BOARD_START_C  # highest temperature at the start for a sensor in the pack
     reads_escs: bool = False  # the temperature is that of the motor controllers
+    is_compensated: bool = False  # the autopilot adds the sag to the voltage
     voltage: VoltageSeen = VoltageSeen()
     current: CurrentSeen = CurrentSeen()
     temperature: TemperatureSeen = TemperatureSeen()
@@ -58,7 +60,9 @@ class Cleaner(NamedTuple):
         if voltage_V is not sample.voltage_V:
             sample = replace(sample, voltage_V=NAN, cell_voltages_V=())
         temperature, temp_C = self.temperature.after(time_s, sample.temp_C, self.hottest_start_C)
-        current, current_A = self.current.after(sample, self.voltage.level_V, capacity_Ah)
+        current, current_A = self.current.after(
+            sample, self.voltage.level_V, capacity_Ah, is_compensated=self.is_compensated
+        )
         if not current.is_metered:
             current, current_A = current.worked_out(sample, self.stated_power_W, assumed_power_W)
         if self.reads_escs:
@@ -66,16 +70,16 @@ class Cleaner(NamedTuple):
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         seen = self.cells.after(time_s, sample.cell_voltages_V) if sample.cell_voltages_V else self.cells
-        return Cleaner(*self[:3], voltage, current, temperature, seen), sample
+        return Cleaner(*self[:4], voltage, current, temperature, seen), sample
 
     def with_facts(self, facts: PackFacts) -> Cleaner:
         """Return the cleaner with what the vehicle states of its sensors."""
-        return self._replace(reads_escs=facts.temperature_of_escs)
+        return self._replace(reads_escs=facts.temperature_of_escs, is_compensated=bool(facts.sag_compensated))
 
     def moved(self, shift_s: float) -> Cleaner:
         """Return the same memory on a clock that shows `shift_s` [s] more."""
         seen = (self.voltage, self.current, self.temperature, self.cells)
-        return Cleaner(*self[:3], *(_moved(value, shift_s) for value in seen))
+        return Cleaner(*self[:4], *(_moved(value, shift_s) for value in seen))
 
     @property
     def notices(self) -> tuple[str, ...]:

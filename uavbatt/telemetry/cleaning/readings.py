@@ -15,6 +15,7 @@ HELD_CURRENT_S = 5.0
 LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
 LEVEL_TAU_S = 2.0
 ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; the best packs show three times it
+RISE_S_PER_C, RISE_WITHIN_S = 1.0, 10.0  # the larger a rise, the surer would the voltage show it
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
@@ -118,11 +119,13 @@ class CurrentSeen(NamedTuple):
     is_metered: bool = False  # a current was read
     is_guessed: bool = False  # the current is worked out from a power
 
-    def after(self, sample: Sample, level_V: float, capacity_Ah: float) -> tuple[CurrentSeen, float]:
+    def after(
+        self, sample: Sample, level_V: float, capacity_Ah: float, *, is_compensated: bool = False
+    ) -> tuple[CurrentSeen, float]:
         """Take the current of a row in; returns it as read, or the last one for a while if it is missing or leaps.
 
         sample : with the voltage that is used; level_V : the voltage over the last seconds [V]; capacity_Ah : of the
-        pack [Ah].
+        pack [Ah]; is_compensated : the voltage does not show the load.
         """
         time_s, read_A = sample.time_s, sample.current_A
         if not abs(read_A) <= HIGHEST_C_RATE * capacity_Ah:  # not read, or of no pack of this size
@@ -130,10 +133,11 @@ class CurrentSeen(NamedTuple):
                 return self, self.used_A
             return self._replace(is_metered=self.is_metered or math.isfinite(read_A)), NAN
         leap_C = (read_A - self.used_A) / capacity_Ah
-        is_leap = abs(leap_C) > LEAP_C and time_s - self.used_s <= LEAP_WITHIN_S and math.isfinite(self.used_V)
+        since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
+        is_leap = abs(leap_C) > LEAP_C and since_s - self.used_s <= LEAP_WITHIN_S and math.isfinite(self.used_V)
         if is_leap and not _is_answered(leap_C, sample.voltage_V, (self.used_V, level_V)):
-            since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
-            if time_s - since_s < ANSWER_WITHIN_S:
+            rise_s = 0.0 if is_compensated else min(RISE_S_PER_C * leap_C, RISE_WITHIN_S)
+            if time_s - since_s < max(ANSWER_WITHIN_S, rise_s):
                 return self._replace(leapt_s=since_s), self.used_A
         return CurrentSeen(read_A, time_s, sample.voltage_V, is_metered=True), read_A
 
