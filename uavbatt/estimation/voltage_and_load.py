@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.estimation.sensor_row import SensorRow
-from uavbatt.telemetry.cleaning.readings import ANSWER_SHARE
+from uavbatt.limits import LEAST_SAG
 
 LOADED_C_RATE = 0.4
 # A current that falls below FALLEN_SHARE of its recent mean must let the voltage rise. A voltage that is read a moment
@@ -77,7 +77,7 @@ class LoadWatch(NamedTuple):
 def _has_sagged(row: SensorRow, recent: Recent) -> bool:
     """Return True if the voltage has fallen as a larger current lets it fall at least."""
     more_C = (row.current_A - recent.current_A) / row.capacity_Ah
-    return row.voltage_V < (1.0 - ANSWER_SHARE * more_C) * recent.voltage_V
+    return row.voltage_V < (1.0 - LEAST_SAG * more_C) * recent.voltage_V
 
 
 class FallWatch(NamedTuple):

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE
+from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE, LEAST_SAG
 from uavbatt.records import NAN, Sample
 
 HELD_CURRENT_S = 5.0
 LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
 LEVEL_TAU_S = 2.0
-ANSWER_SHARE, ANSWER_WITHIN_S = 0.0004, 2.0  # share of the voltage for each C; the best packs show three times it
+ANSWER_WITHIN_S = 2.0
 RISE_S_PER_C, RISE_WITHIN_S = 1.0, 10.0  # the larger a rise, the surer would the voltage show it
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
@@ -157,7 +157,7 @@ class CurrentSeen(NamedTuple):
 def _is_answered(leap_C: float, voltage_V: float, before_V: tuple[float, float]) -> bool:
     """Return True if the voltage has moved against one of two voltages before as a leap of the current [C] moves it."""
     moved = [(1.0 - voltage_V / volts) * math.copysign(1.0, leap_C) for volts in before_V]
-    return any(share >= ANSWER_SHARE * abs(leap_C) for share in moved)
+    return any(share >= LEAST_SAG * abs(leap_C) for share in moved)
 
 
 class CellsSeen(NamedTuple):
