@@ -37,9 +37,7 @@ CUT_CELLS = 10  # fields for cells in BATTERY_STATUS: where all are used, a send
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
 HIGHEST_C_RATE = 200.0  # in any row: at this rate a pack is empty in 18 s
-LEAST_SAG = (
-    0.0004  # share of the voltage that each C of a larger load takes at least; the best packs show three times it
-)
+LEAST_SAG = 0.0004  # share of the voltage that a load of 1 C takes at least; the best packs show three times it
 # A pack that rested nearly empty cannot give this share of the stated capacity, even if it has twice that capacity.
 EMPTY_OVERDRAWN = 0.3
 LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds

@@ -15,6 +15,7 @@ HELD_CURRENT_S = 5.0
 LEAP_C = 3.0  # a change of the current that also a rounded or noisy voltage shows
 LEVEL_TAU_S = 2.0
 ANSWER_WITHIN_S = 2.0
+SLOWEST_ROW_S = 30.0  # rows farther apart tell no leap
 RISE_S_PER_C, RISE_WITHIN_S = 1.0, 10.0  # the larger a rise, the surer would the voltage show it
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
@@ -134,7 +135,7 @@ class CurrentSeen(NamedTuple):
             return self._replace(is_metered=self.is_metered or math.isfinite(read_A)), NAN
         leap_C = (read_A - self.used_A) / capacity_Ah
         since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
-        is_leap = abs(leap_C) > LEAP_C and since_s - self.used_s <= LEAP_WITHIN_S and math.isfinite(self.used_V)
+        is_leap = abs(leap_C) > LEAP_C and since_s - self.used_s <= SLOWEST_ROW_S and math.isfinite(self.used_V)
         if is_leap and not _is_answered(leap_C, sample.voltage_V, (self.used_V, level_V)):
             rise_s = 0.0 if is_compensated else min(RISE_S_PER_C * leap_C, RISE_WITHIN_S)
             if time_s - since_s < max(ANSWER_WITHIN_S, rise_s):
