@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """Healthy sets: how often diagnosis raises an alarm where nothing is wrong.
 
-Run: .venv/bin/python scripts/diagnose_cases_healthy.py BATTERY.battery.toml FOLDER [--sets 50] [--follow]
+Run: .venv/bin/python scripts/diagnose_cases_healthy.py BATTERY.battery.toml FOLDER
+         [--sets 50] [--follow] [--no-temperature]
 FOLDER holds healthy flights of the pack (`scripts/porous_cases.py` writes them to healthy/), each used in several sets.
-Sets of 3, 4 and 8 flights in turn, drawn without putting back; --follow takes each set as flights in order of time.
+Sets of 3, 4 and 8 flights in turn, drawn without putting back; --follow takes each set as flights in order of time;
+--no-temperature leaves the thermometer out.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +32,12 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--sets", type=int, default=50)
     parser.add_argument("--follow", action="store_true")
+    parser.add_argument("--no-temperature", action="store_true")
     given = parser.parse_args()
     file, pack, engine = ready(given.battery)
     sound = records(sorted(given.folder.glob("*.csv")))
+    if given.no_temperature:
+        sound = [replace(record, temp_C=np.full_like(record.temp_C, np.nan)) for record in sound]
     random, alarms, seen = np.random.default_rng(16), Counter[int](), Counter[int]()
     for number in range(given.sets):
         size = SIZES[number % len(SIZES)]

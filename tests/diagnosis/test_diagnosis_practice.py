@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from uavbatt import dataset
@@ -34,8 +36,10 @@ def battery(shared_data: Path) -> BatteryFile:
     return fit_battery(RecordedPack("truth", CELLS, CAPACITY_AH, CUTOFF_V), [dataset.load(truth / "lab")], flights).file
 
 
-def diagnosed(battery: BatteryFile, folder: Path, *without: str) -> Diagnosis:
+def diagnosed(battery: BatteryFile, folder: Path, *without: str, has_thermometer: bool = True) -> Diagnosis:
     records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in sorted(folder.glob("*.tlog"))]
+    if not has_thermometer:
+        records = [replace(r, temp_C=np.full_like(r.temp_C, np.nan)) for r in records]
     return diagnose(
         records, battery, pack_from(battery, PackOptions(CELLS, CAPACITY_AH)), without, engine=engine_for(is_long=True)
     )
@@ -103,3 +107,22 @@ def test_labelled_cases_are_told_as_they_are(
     assert len(found.classes) == len(wanted)
     for one, effect in zip(found.classes, wanted, strict=True):
         assert effect in one.members
+
+
+@pytest.mark.parametrize(
+    ("case", "effect"),
+    [
+        ("k01", None),
+        ("k05", "current_offset"),
+        ("k10", None),  # a thermometer that reads wrong, left out
+        ("k13", "current_delay"),
+        ("k17", "slow_diffusion"),
+    ],
+)
+def test_without_a_thermometer_only_clear_effects_are_told(
+    shared_data: Path, battery: BatteryFile, case: str, effect: str | None
+) -> None:
+    """Each flight has a temperature of its own to bend then: of 48 healthy sets, 41 seemed to lack an effect."""
+    found = diagnosed(battery, shared_data / "truth" / "cases" / case, has_thermometer=False)
+    assert found.verdict == ("no_missing_effect" if effect is None else "effect_found")
+    assert effect is None or effect in found.classes[0].members

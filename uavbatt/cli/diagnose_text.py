@@ -19,7 +19,7 @@ def lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     made += [f"  doubt: {reason}" for reason in found.reasons]
     made += _evidence_lines(found)
     if not found.problem.evidence.has_temperature:
-        made.append("  no temperature: effects that show only in it are not among the candidates")
+        made.append("  no temperature: only clear effects are told, and none that shows only in it")
     return made + _held_out_lines(closed)
 
 

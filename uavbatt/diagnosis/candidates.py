@@ -29,7 +29,13 @@ ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion"
 PACKS_OWN = ("temperature_lag", "charge_transfer")  # sensor mounting and ageing: worth reporting if changed
 ONE_WAY = ("fade", "growth")  # ageing has one direction
 SLOWING = ("transfer_V",)  # reactions only become slower: never less than in the file
-NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
+NEEDS_TEMPERATURE = (
+    "temperature_lag",
+    "temperature_offset",
+    "airflow_cooling",
+    "self_heating",
+    "temperature_resistance",
+)
 
 # A sensor may drift along one of these: the time since the record began, or the measured temperature.
 Course = Literal["time", "temperature"]

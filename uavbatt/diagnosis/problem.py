@@ -87,6 +87,7 @@ class Refit:
     information: Array  # [records, columns and knots, same], nuisances eliminated
     score: Array  # [records, columns and knots]: half the negative gradient of each record's chi-square
     residual: Array  # whitened, [records, numbers]
+    has_temperature: bool  # every record has one
 
     @property
     def total(self) -> float:

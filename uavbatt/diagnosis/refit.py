@@ -213,4 +213,5 @@ def _refit_of(batch: Batch, state: _Linearised, u: Array, v: Array, i: int) -> R
         information=information[:, order][:, :, order],
         score=score[:, order],
         residual=state.r[i].copy(),
+        has_temperature=batch.problem.evidence.has_temperature,
     )

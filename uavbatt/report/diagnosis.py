@@ -83,7 +83,7 @@ def diagnosis_report(diagnosis: Diagnosis, closed: ClosedLoop, old: BatteryFile,
 def _notes(diagnosis: Diagnosis, old: BatteryFile) -> list[str]:
     notes = []
     if not diagnosis.problem.evidence.has_temperature:
-        notes.append("No temperature was measured: effects that show only in it are not among the candidates.")
+        notes.append("No temperature was measured: only clear effects are told, and none that shows only in it.")
     if old.status == "edited":
         notes.append(f"The {old.caveat}.")
     if diagnosis.hidden:
