@@ -1,6 +1,6 @@
 """The pack ledger against packs whose true health is known: flight by flight, with and without it.
 
-    python scripts/score_packs.py [--pack NAME]... [--markdown FILE]
+    python scripts/score_packs.py [--pack NAME]... [--markdown FILE] [--no-temperature]
 
 The battery file is fitted from truth/lab and truth/reference. N1 and O1 were kept back while the slow filter was made.
 Tables go to stdout, progress to stderr.
@@ -25,6 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--pack", action="append", help="one pack's folder; may be given again; default: all")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables as Markdown")
+    parser.add_argument("--no-temperature", action="store_true", help="leave the thermometer of the packs out")
     given = parser.parse_args(arguments)
 
     from scoring import data, packs
@@ -39,7 +40,12 @@ def main(arguments: list[str] | None = None) -> int:
     say("packs: fitting the battery")
     battery = truth_battery(folder)
     with tempfile.TemporaryDirectory() as place, Ledger(Path(place) / "packs.sqlite") as ledger:
-        found = [flown for name in names for flown in packs.flown(folder, name, battery, ledger, say)]
+        is_felt = not given.no_temperature
+        found = [
+            flown
+            for name in names
+            for flown in packs.flown(folder, name, battery, ledger, say, has_thermometer=is_felt)
+        ]
     show([packs.table(found), packs.summary(found, KEPT_BACK)], given.markdown)
     return 0
 

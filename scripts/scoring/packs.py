@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,12 +70,16 @@ class Flown:
     known_Ah: tuple[float, float, float]  # after the flight: value, 5 %, 95 %
 
 
-def flown(data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Callable[[str], None]) -> list[Flown]:
+def flown(
+    data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Callable[[str], None], *, has_thermometer: bool
+) -> list[Flown]:
     """Return all flights of a pack in order, each forecast with what those before it taught."""
     found = []
     for number, path in enumerate(sorted((data / "packs/practice" / pack).glob("flight_*.tlog")), 1):
         say(f"packs: {pack} flight {number}")
         flight, answer = read_log(path), _answer(data / "packs/answers", pack, number)
+        if not has_thermometer:
+            flight = replace(flight, samples=tuple(replace(sample, temp_C=math.nan) for sample in flight.samples))
         name = remembering.name_of(flight) or pack
         remembered = remembering.health_before(ledger, name, flight, battery)
         alone, with_ledger = (_forecast(flight, answer, battery, known) for known in (None, remembered))

@@ -20,6 +20,7 @@ def flight(
         "start_utc_s": FIRST_UTC_S + 3.0 * DAY_S * number,
         "duration_s": DURATION_S,
         "source": f"flight_{number:02d}.tlog",
+        "temp_mean_C": 25.0,
     }
     return FlightRecord(
         told=told, cells=4, rated_Ah=RATED_AH, type_ohm=TYPE_OHM, battery_sha256="0" * 64,

@@ -52,8 +52,16 @@ def test_a_cell_that_lies_clearly_below_the_others_is_named(below_V: float, word
 
 def test_another_battery_file_makes_a_remembered_pack_less_sure() -> None:
     known = history([flight(k, charge=0.85) for k in range(4)])[-1].known
-    same, other = (np.diag(prior(known, 3.0, other_file).covariance) for other_file in (False, True))
+    same, other = (np.diag(prior(known, 3.0, other_file=told).covariance) for told in (False, True))
     assert np.all(other > same) and np.all(same > np.diag(known.covariance)[:2])
+
+
+def test_without_a_thermometer_a_remembered_pack_may_be_in_the_cold() -> None:
+    known = history([flight(k, temp_mean_C=math.nan) for k in range(4)])[-1].known
+    warm, unknown = (np.diag(prior(known, 3.0, has_thermometer=told).covariance) for told in (True, False))
+    assert np.all(unknown > warm)
+    *_, last = history([*(flight(k, temp_mean_C=math.nan) for k in range(4)), flight(4, 1.6, temp_mean_C=math.nan)])
+    assert last.findings[0].words.endswith("damaged, or cold? No temperature was measured")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.packs import remembering
+from uavbatt.packs.ageing import history
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Flight, Identity, PackFacts
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
@@ -29,10 +30,16 @@ FADED, GROWN = 1.0 - AGED["capacity_fade"], 1.0 + AGED["resistance_growth"]
 DAY_S = 86_400.0
 
 
-def flight(number: int, effects: dict[str, float] | None = None, share: float = 1.0, serial: str = "A") -> Flight:
+def flight(
+    number: int,
+    effects: dict[str, float] | None = None,
+    share: float = 1.0,
+    serial: str = "A",
+    ambient_C: float = 25.0,
+) -> Flight:
     """A flight of a pack with some effects, of which the log holds a share."""
     pack = with_effects(PACK, AGED if effects is None else effects)
-    samples = simulate_flight(pack, SimulatedFlight(power_W=160.0, ambient_C=25.0, rate_Hz=1.0, seed=number))
+    samples = simulate_flight(pack, SimulatedFlight(power_W=160.0, ambient_C=ambient_C, rate_Hz=1.0, seed=number))
     kept = samples[: int(share * len(samples))]
     identity = Identity(battery_serial=serial, start_utc_s=1.79e9 + 3.0 * DAY_S * number)
     return Flight(f"logs/{number}.tlog", "tlog", tuple(kept), identity=identity, duration_s=kept[-1].time_s)
@@ -109,6 +116,16 @@ def test_a_flight_that_cannot_tell_says_why(emptied, changed, words):
     found = remembering.flight_for_ledger(BATTERY, OPTIONS, changed(emptied))
     assert found.record is None
     assert re.search(words, found.why_not)
+
+
+def test_a_cold_morning_without_a_thermometer_is_no_damage() -> None:
+    """A new pack at 6 °C had "24 % less charge at once: damaged?", and was then planned too short."""
+    flights = [flight(k, {}, share=0.8, ambient_C=air_C) for k, air_C in enumerate((25.0, 20.0, 28.0, 6.0, 5.0))]
+    bare = [replace(f, samples=tuple(replace(s, temp_C=math.nan) for s in f.samples)) for f in flights]
+    told = [remembering.flight_for_ledger(BATTERY, OPTIONS, f).record for f in bare]
+    known = history([record for record in told if record is not None])
+    assert not any(after.findings for after in known)
+    assert math.exp(known[-1].known.mean[1]) == pytest.approx(5.0, rel=0.1)
 
 
 def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):

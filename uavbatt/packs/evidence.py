@@ -32,7 +32,9 @@ OHM_SHARE, ALL_CHANCE_SD = 0.35, 0.16
 LEAST_SD = np.array([0.015, 0.01])
 # A flight in the cold shows less of the values at 25 °C: the file's temperature dependence has this error [per K].
 COLD_SD_PER_K = np.array([0.005, 0.002])
-UNKNOWN_AWAY_K = 12.0
+# Without a thermometer a cold pack looks like a worn one: 8 K are a quarter of the resistance, and seven flights at
+# 6 °C were read with 25 % too little capacity (32 flights of 6 to 33 °C: an error of 0.16).
+UNMEASURED_SD = np.array([0.25, 0.17])
 # With the generic file the evidence is worse than it says: over 128 flights of 24 packs of six makes ln Ah lay 1.1 to
 # 1.8 of its sd from the truth (root mean square).
 GENERIC_FACTOR = 2.0
@@ -53,10 +55,10 @@ def evidence_of_flight(
     ohms_per_V = 0.0 if is_generic else _ohms_per_volt(pack)
     said = with_rest(_under_load(pack, loaded, ohms_per_V), loaded[-1], last)
     log_ohm, log_Ah, covariance = health_of(pack, said)[:3]
-    away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
+    away_sd = COLD_SD_PER_K * abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNMEASURED_SD
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)
-    scatter += np.diag(LEAST_SD**2 + (COLD_SD_PER_K * away_K) ** 2)
+    scatter += np.diag(LEAST_SD**2 + away_sd**2)
     scatter *= GENERIC_FACTOR**2 if is_generic else 1.0
     return FlightEvidence(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
 

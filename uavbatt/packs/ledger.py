@@ -186,7 +186,12 @@ def check_name(name: str, path: Path, place: str) -> None:
 def prior(last: LedgerFlight, start_utc_s: float, battery_sha256: str) -> PackHealth:
     """Return the prior of a flight that begins at a time [s since 1970], from the belief after the flight before it."""
     days = ageing.days_between(last.flight, start_utc_s)
-    health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
+    health = ageing.prior(
+        last.known,
+        days,
+        other_file=battery_sha256 != last.flight.battery_sha256,
+        has_thermometer=last.flight.has_thermometer,
+    )
     return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
 
 

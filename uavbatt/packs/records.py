@@ -64,6 +64,11 @@ class FlightRecord:
     cycles: int | None = None  # by the pack's own counter
     fullest_cell_V: float = NAN  # voltage of a full cell at rest, at least ORDINARY_FULL_V
 
+    @property
+    def has_thermometer(self) -> bool:
+        """Return True if the temperature of the pack was measured."""
+        return math.isfinite(self.temp_mean_C)
+
     def is_same_as(self, other: FlightRecord) -> bool:
         """Return True if two records are of one flight: their times overlap, or, without a clock, their keys agree."""
         if math.isnan(self.start_utc_s + other.start_utc_s):
