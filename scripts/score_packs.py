@@ -40,11 +40,11 @@ def main(arguments: list[str] | None = None) -> int:
     say("packs: fitting the battery")
     battery = truth_battery(folder)
     with tempfile.TemporaryDirectory() as place, Ledger(Path(place) / "packs.sqlite") as ledger:
-        is_felt = not given.no_temperature
+        has_thermometer = not given.no_temperature
         found = [
             flown
             for name in names
-            for flown in packs.flown(folder, name, battery, ledger, say, has_thermometer=is_felt)
+            for flown in packs.flown(folder, name, battery, ledger, say, has_thermometer=has_thermometer)
         ]
     show([packs.table(found), packs.summary(found, KEPT_BACK)], given.markdown)
     return 0

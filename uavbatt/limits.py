@@ -89,6 +89,11 @@ class Names(NamedTuple):
 OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltage ", "--ambient-c ", "--reserve-soc ")
 
 
+def is_answered(leap_C: float, voltage_V: float, before_V: float) -> bool:
+    """Return True if the voltage [V] has moved as a leap of the current [C] moves it at least, against that before."""
+    return (before_V - voltage_V) * math.copysign(1.0, leap_C) >= LEAST_SAG * abs(leap_C) * before_V
+
+
 def cells_doubt(
     cells: int, voltages: FirstVoltages, resting: Resting, drawn_Ah: float = 0.0, capacity_Ah: float = math.inf
 ) -> Doubt | None:

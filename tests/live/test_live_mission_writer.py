@@ -77,6 +77,11 @@ def recorded_mission(folder: Path) -> Mission | None:
     return last.mission if last.mission is not None and last.mission.items and not last.transferring else None
 
 
+def is_understood(mission: Mission | None) -> bool:
+    """A mission is understood once the heartbeat of the autopilot has been heard, too: it tells whose rules hold."""
+    return mission is not None and not mission.reason
+
+
 def test_a_mission_passes_the_proxy_both_ways_and_is_understood(
     vehicle: tuple[Autopilot, int, int], tmp_path: Path
 ) -> None:
@@ -90,7 +95,7 @@ def test_a_mission_passes_the_proxy_both_ways_and_is_understood(
         write(station, tmp_path / "route.waypoints")
         assert [held.command for held in autopilot.mission] == [16, 22, 16]
         assert listed(station) == [(16, 400.0), (22, 30.0), (16, 87.0)]
-        until(lambda: recorded_mission(recorded))  # it hears of it from the proxy, when it comes to that
+        until(lambda: is_understood(recorded_mission(recorded)))  # it hears of it from the proxy, when it comes to that
     finally:
         companion.terminate()
         companion.wait(PATIENCE_S)

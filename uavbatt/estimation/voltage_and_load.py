@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.estimation.sensor_row import SensorRow
-from uavbatt.limits import LEAST_SAG
+from uavbatt.limits import is_answered
 
 LOADED_C_RATE = 0.4
 # A current that falls below FALLEN_SHARE of its recent mean must let the voltage rise. A voltage that is read a moment
@@ -59,8 +59,9 @@ class LoadWatch(NamedTuple):
     def after(self, row: SensorRow) -> LoadWatch:
         """Return the watch after one more row."""
         usual_A = self.recent.current_A
-        if row.current_A * FALLEN_SHARE > usual_A and not _has_sagged(row, self.recent):
-            return self
+        is_far_more, more_C = row.current_A * FALLEN_SHARE > usual_A, (row.current_A - usual_A) / row.capacity_Ah
+        if is_far_more and not is_answered(more_C, row.voltage_V, self.recent.voltage_V):
+            return self  # what the voltage does not show is no load, and its end is no failure
         if not usual_A >= LOADED_C_RATE * row.capacity_Ah or row.current_A > FALLEN_SHARE * usual_A:
             return LoadWatch(self.recent.after(row, RECENT_TAU_S))
         # The model sees a block of rows at once, so that its rise is whole only after a second or two.
@@ -72,12 +73,6 @@ class LoadWatch(NamedTuple):
             return LoadWatch(Recent().after(row, RECENT_TAU_S))
         since_s = self.gone_since_s if math.isfinite(self.gone_since_s) else row.time_s
         return LoadWatch(self.recent, fell_s, expected_rise_V, since_s if is_gone else math.nan)
-
-
-def _has_sagged(row: SensorRow, recent: Recent) -> bool:
-    """Return True if the voltage has fallen as a larger current lets it fall at least."""
-    more_C = (row.current_A - recent.current_A) / row.capacity_Ah
-    return row.voltage_V < (1.0 - LEAST_SAG * more_C) * recent.voltage_V
 
 
 class FallWatch(NamedTuple):
@@ -120,14 +115,12 @@ class RiseWatch(NamedTuple):
         rise_V = min(row.voltage_V - recent.voltage_V, off_V)
         least_V, has_risen = max(ROSE_CELL_V * row.cells, ROSE_SCATTERS * self.scatter_V), math.isfinite(risen_s)
         is_loaded = row.current_A > LOADED_C_RATE * row.capacity_Ah
-        has_eased = row.current_A <= STAYED_SHARE * recent.current_A and not (has_risen and off_V > least_V)
-        least_V *= RETURNED_SHARE if has_risen else 1.0
-        stays = is_loaded and not has_eased
-        is_back = row.voltage_V - recent.voltage_V < least_V and row.current_A < recent.current_A / STAYED_SHARE
-        if stays and ((risen_s >= ROSE_S and not is_back) or (rise_V > least_V and self.loaded_s > ROSE_LOADED_S)):
-            return self if has_risen else self._replace(risen_since_s=row.time_s)
-        if is_back and risen_s >= ROSE_S:  # it may move again at once
+        if risen_s >= ROSE_S and self._has_gone_back(row, RETURNED_SHARE * least_V):  # it may move again at once
             return RiseWatch(Recent().after(row, ROSE_TAU_S), self.scatter_V, self.loaded_s)
+        stays = is_loaded and (row.current_A > STAYED_SHARE * recent.current_A or (has_risen and off_V > least_V))
+        least_V *= RETURNED_SHARE if has_risen else 1.0
+        if stays and (risen_s >= ROSE_S or (rise_V > least_V and self.loaded_s > ROSE_LOADED_S)):
+            return self if has_risen else self._replace(risen_since_s=row.time_s)
         if not passed_s < ROSE_S:  # rows that are far apart tell no sudden rise
             return RiseWatch(Recent().after(row, ROSE_TAU_S))
         if off_V < -least_V:  # a row far below the others must not make those after it look risen
@@ -135,3 +128,8 @@ class RiseWatch(NamedTuple):
         scatter_V = self.scatter_V + (abs(off_V) - self.scatter_V) * min(max(passed_s, 0.0) / SCATTER_TAU_S, 1.0)
         loaded_s = self.loaded_s + passed_s if is_loaded else 0.0
         return RiseWatch(recent.after(row, ROSE_TAU_S), scatter_V, loaded_s)
+
+    def _has_gone_back(self, row: SensorRow, within_V: float) -> bool:
+        """Return True if the voltage is again within `within_V` [V] of that before the rise, at no larger current."""
+        is_low = row.voltage_V - self.recent.voltage_V < within_V
+        return is_low and row.current_A < self.recent.current_A / STAYED_SHARE

@@ -41,7 +41,7 @@ LONGEST_DAYS = 3650.0
 # The evidence of a flight is for its own temperature and load; those of the next flight differ.
 OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
 OTHER_FILE_SD = np.array([0.10, 0.03])  # added if another battery file was used
-UNMEASURED_SD = np.array([0.25, 0.10])  # added without a thermometer: the next flight may be in the cold
+UNKNOWN_COLD_SD = np.array([0.25, 0.10])  # added without a thermometer: the next flight may be in the cold
 # A flight is odd if it is this many sds off; for two flights in a row, taken together, fewer are enough.
 ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 2.5, 2.5
 DAMAGED_SHARE = 0.1  # of packs that look damaged after two flights; the others age faster
@@ -228,7 +228,7 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
     likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
     known = _together(_shares(likely), [_with_flight(one, flight) for one in between])
     has_thermometer = flight.has_thermometer and course.last.has_thermometer
-    causes = "damaged, or ageing fast" if has_thermometer else "damaged, ageing fast"
+    causes = ("damaged", "ageing fast")
     said = odd.sudden(z, change, " since the flight before", causes, has_thermometer=has_thermometer)
     return AgeingState(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 
@@ -239,6 +239,10 @@ def prior(known: PackBelief, days: float, *, other_file: bool = False, has_therm
     other_file : it uses another battery file; has_thermometer : the last flight had one, so that this one will.
     """
     expected = predicted(known, days)
-    doubt = OTHER_CONDITIONS_SD**2 + other_file * OTHER_FILE_SD**2 + (not has_thermometer) * UNMEASURED_SD**2
+    doubt = OTHER_CONDITIONS_SD**2
+    if other_file:
+        doubt = doubt + OTHER_FILE_SD**2
+    if not has_thermometer:
+        doubt = doubt + UNKNOWN_COLD_SD**2
     log_ohm, log_Ah = (float(value) for value in expected.mean[:2])
     return PackHealth(log_ohm, log_Ah, expected.covariance[:2, :2] + np.diag(doubt))

@@ -51,16 +51,24 @@ def of_higher_charge(flight: FlightRecord) -> PackFinding:
 
 
 def sudden(
-    z: Array, change: Array, since: str = " at once", causes: str = "damaged", *, has_thermometer: bool = True
+    z: Array,
+    change: Array,
+    since: str = " at once",
+    causes: tuple[str, ...] = ("damaged",),
+    *,
+    has_thermometer: bool = True,
 ) -> PackFinding:
     """Return the finding of damage, by the resistance or by the capacity, whichever is further off.
 
-    z [2] : distance of ln ohm and ln Ah from their expected values [sd]; change [2] : the same in ln
+    z [2] : distance of ln ohm and ln Ah from their expected values [sd]; change [2] : the same in ln; causes : that
+    are asked about. The cold is one more where no thermometer was read.
     """
-    causes += "?" if has_thermometer else ", or cold? No temperature was measured"
+    every = causes if has_thermometer else (*causes, "cold")
+    asked = ", or ".join(filter(None, (", ".join(every[:-1]), every[-1]))) + "?"
+    asked += "" if has_thermometer else " No temperature was measured"
     if z[0] >= -z[1]:
-        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more resistance{since}: {causes}")
-    return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge{since}: {causes}")
+        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more resistance{since}: {asked}")
+    return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge{since}: {asked}")
 
 
 def another(z: Array, change: Array) -> PackFinding:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE, LEAST_SAG
+from uavbatt.limits import EMPTIEST_CELL_V, HIGHEST_C_RATE, is_answered
 from uavbatt.records import NAN, Sample
 
 HELD_CURRENT_S = 5.0
@@ -136,7 +136,8 @@ class CurrentSeen(NamedTuple):
         leap_C = (read_A - self.used_A) / capacity_Ah
         since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
         is_leap = abs(leap_C) > LEAP_C and since_s - self.used_s <= SLOWEST_ROW_S and math.isfinite(self.used_V)
-        if is_leap and not _is_answered(leap_C, sample.voltage_V, (self.used_V, level_V)):
+        answers = (is_answered(leap_C, sample.voltage_V, before_V) for before_V in (self.used_V, level_V))
+        if is_leap and not any(answers):
             rise_s = 0.0 if is_compensated else min(RISE_S_PER_C * leap_C, RISE_WITHIN_S)
             if time_s - since_s < max(ANSWER_WITHIN_S, rise_s):
                 return self._replace(leapt_s=since_s), self.used_A
@@ -153,12 +154,6 @@ class CurrentSeen(NamedTuple):
             return self._replace(first_s=first_s), NAN
         current_A = 0.0 if sample.armed is False else power_W / sample.voltage_V
         return self._replace(first_s=first_s, is_guessed=True), current_A
-
-
-def _is_answered(leap_C: float, voltage_V: float, before_V: tuple[float, float]) -> bool:
-    """Return True if the voltage has moved against one of two voltages before as a leap of the current [C] moves it."""
-    moved = [(1.0 - voltage_V / volts) * math.copysign(1.0, leap_C) for volts in before_V]
-    return any(share >= LEAST_SAG * abs(leap_C) for share in moved)
 
 
 class CellsSeen(NamedTuple):
