@@ -136,8 +136,7 @@ class CurrentSeen(NamedTuple):
         leap_C = (read_A - self.used_A) / capacity_Ah
         since_s = self.leapt_s if math.isfinite(self.leapt_s) else time_s
         is_leap = abs(leap_C) > LEAP_C and since_s - self.used_s <= SLOWEST_ROW_S and math.isfinite(self.used_V)
-        answers = (is_answered(leap_C, sample.voltage_V, before_V) for before_V in (self.used_V, level_V))
-        if is_leap and not any(answers):
+        if is_leap and not any(is_answered(leap_C, sample.voltage_V, before_V) for before_V in (self.used_V, level_V)):
             rise_s = 0.0 if is_compensated else min(RISE_S_PER_C * leap_C, RISE_WITHIN_S)
             if time_s - since_s < max(ANSWER_WITHIN_S, rise_s):
                 return self._replace(leapt_s=since_s), self.used_A
