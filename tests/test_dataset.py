@@ -80,6 +80,20 @@ def test_missing_readings_are_nan(tmp_path):
     assert np.isnan(run.surface_C[1]) and np.isnan(run.current_A[0]) and run.surface_C[3] == 25
 
 
+@pytest.mark.parametrize(("empty", "read_A"), [({0}, 3.0), ({4}, 3.4), ({2, 3}, 3.2), ({1, 4, 8}, None)])
+def test_a_few_empty_currents_are_read_from_their_neighbours_and_many_are_no_measurement(
+    tmp_path: Path, empty: set[int], read_A: float | None
+) -> None:
+    """One empty cell of one run took the current away from all runs of a set."""
+    shown = ["" if k in empty else f"{3.0 + 0.1 * (k if k else 0):.1f}" for k in range(10)]
+    rows = "".join(f"a,1,25,{60 * k},{12.5 - 0.2 * k:.1f},{amps},\n" for k, amps in enumerate(shown))
+    run = dataset.load(folder(tmp_path, rows)).runs[0]
+    if read_A is None:
+        assert not run.is_metered and np.isnan(run.current_A).all()
+    else:
+        assert run.is_metered and run.current_A[min(empty)] == pytest.approx(read_A, abs=0.11)
+
+
 def test_rows_without_a_voltage_are_left_out(tmp_path):
     run = dataset.load(folder(tmp_path, ROWS + "a,1,25,180,,3.5,24\na,1,25,240,10.1,,\n")).runs[0]
     assert list(run.time_s) == [0, 60, 120, 240] and np.isfinite(run.voltage_V).all()

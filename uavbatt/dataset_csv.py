@@ -1,9 +1,10 @@
 """`discharge.csv`: the readings of a discharge data set, checked row by row.
 
 Columns `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c` in any order; an empty cell means not
-measured, and a row without a voltage is left out. A run is one (sample, run, ambient) triple. Bounds: a lithium
-cell reads 0.5 to 5 V, the air of a test is at -80 to 70 °C; other values are mistakes of the unit. Every error names
-the line.
+measured, and a row without a voltage is left out. Where a few currents of a run are empty, they are read from their
+neighbours; where many are, the current of that run counts as not measured. A run is one (sample, run, ambient) triple.
+Bounds: a lithium cell reads 0.5 to 5 V, the air of a test is at -80 to 70 °C; other values are mistakes of the unit.
+Every error names the line.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "su
 MIN_POINTS = 3
 CELL_RANGE_V = (0.5, 5.0)
 LEAST_HIGHEST_CELL_V = 2.2  # every flying cell shows more at some time; half a full LiPo cell is less
+MOST_EMPTY = 0.2  # share of a run's currents that may be read from their neighbours
 TEMP_RANGE_C = {"ambient_c": (-80.0, 70.0), "surface_c": (-80.0, 150.0)}
 
 
@@ -44,6 +46,11 @@ class Run:
     def place(self) -> str:
         """Return the run's name in an error: `sample A, run 1 at 25 °C`."""
         return f"sample {self.sample}, run {self.run} at {self.ambient_C:g} °C"
+
+    @property
+    def is_metered(self) -> bool:
+        """Return True if the current was measured."""
+        return bool(np.isfinite(self.current_A).all())
 
 
 class _Row(NamedTuple):
@@ -177,4 +184,12 @@ def _run(key: tuple[str, int, float], rows: list[_Row], cells_series: int, shown
     duration_s = time_s[-1] - time_s[0]
     if duration_s > 1e6:
         raise BadInput(shown, place, f"time_s in seconds, the run lasts {duration_s:g} (milliseconds?)")
-    return Run(sample, run, ambient_C, time_s, voltage_V, current_A, surface_C)
+    return Run(sample, run, ambient_C, time_s, voltage_V, _known_current_A(time_s, current_A), surface_C)
+
+
+def _known_current_A(time_s: Array, current_A: Array) -> Array:
+    """Return the current of a run at each of its rows [A], or NaN at all of them if it was not measured."""
+    known = ~np.isnan(current_A)
+    if np.mean(known) < 1.0 - MOST_EMPTY:
+        return np.full(current_A.size, math.nan)
+    return np.interp(time_s, time_s[known], current_A[known])

@@ -10,7 +10,7 @@ import pytest
 from uavbatt.battery.model import Array
 from uavbatt.cli.diagnose_records import observed_of
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.observed import HELD_WINDOW_S, ObservedRecord, from_flight, held_load, stack
+from uavbatt.fitting.observed import HELD_WINDOW_S, ObservedRecord, after_step, from_flight, held_load, stack
 from uavbatt.telemetry import read_log
 
 ROWS = 60
@@ -99,3 +99,22 @@ def test_slow_rows_that_follow_a_step_of_the_bench_are_not_compared() -> None:
 def test_all_other_rows_are_compared(record: ObservedRecord) -> None:
     bench = stack([record])
     assert np.array_equal(bench.time_s[bench.compare[:, 0], 0], record.time_s)
+
+
+def bench(current_A: Array, temp_C: Array) -> ObservedRecord:
+    """A test with a row each minute."""
+    time_s = 60.0 * np.arange(current_A.size)
+    return ObservedRecord("test", time_s, 16.0 - time_s / 1000.0, current_A, temp_C, 25.0, 4, 5.0)
+
+
+def test_the_scatter_of_an_ammeter_in_slow_rows_is_no_step_of_the_load() -> None:
+    """Noise of 5 % took rows out of every run, each at another minute, and no run of four was left whole."""
+    noise = np.random.default_rng(3).standard_normal(22)
+    load_A = np.concatenate([[0.0], 13.0 + 0.65 * noise])
+    assert np.flatnonzero(after_step(bench(load_A, np.full(23, 25.0)))).tolist() == [1]
+
+
+def test_the_start_of_a_test_in_slow_rows_is_as_cold_as_its_first_row() -> None:
+    """The median of eight rows a minute apart was 4 K warmer than the pack that had just been loaded."""
+    warming_C = 25.0 + 1.2 * np.arange(23.0)
+    assert stack([bench(np.full(23, 13.0), warming_C)]).start_temp_C[0] == pytest.approx(25.0, abs=0.1)

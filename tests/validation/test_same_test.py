@@ -77,6 +77,7 @@ def test_a_copied_run_is_named_with_its_original() -> None:
     [
         (lambda r: replace(r, time_s=r.time_s / 60.0), "short_run", "run 2 of sample B at 25 °C lasts 0.333 min"),
         (lambda r: replace(r, current_A=1.5 * r.current_A), "other_load", "run 2 of sample B at 25 °C with 15 A"),
+        (lambda r: replace(r, current_A=1.06 * r.current_A), "other_load", "run 2 of sample B at 25 °C with 10.6 A"),
         (lambda r: replace(r, current_A=0.0 * r.current_A), "other_load", "run 2 of sample B at 25 °C with 0 A"),
         (lambda r: replace(r, surface_C=1.8 * r.surface_C + 32.0), "surface_far_from_ambient", "degrees Fahrenheit?"),
         (lambda r: replace(r, surface_C=r.surface_C - 25.0), "surface_far_from_ambient", "another ambient temperature"),
@@ -86,6 +87,23 @@ def test_a_run_that_is_no_repeat_is_named(change: Change, kind: str, words: str)
     (finding,) = found(data_set(change))
     assert (finding.kind, finding.severity) == (kind, "warning")
     assert words in finding.detail
+
+
+def test_a_load_that_scatters_a_little_more_is_no_other_load() -> None:
+    assert found(data_set(lambda r: replace(r, current_A=1.03 * r.current_A))) == []
+
+
+def test_a_run_without_a_current_is_named_unless_no_run_has_one() -> None:
+    (finding,) = found(data_set(lambda r: replace(r, current_A=np.nan * r.current_A)))
+    assert finding.title == "The current of 1 of 15 runs was not measured"
+    assert "run 2 of sample B at 25 °C: the model is fitted to the others" in finding.detail
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.5, "reads low"), (1.0, ""), (1.3, "reads high")])
+def test_whole_discharges_are_held_against_the_rated_capacity(share: float, words: str) -> None:
+    """An ammeter off by a factor passed without a word: model and tests were wrong together."""
+    tests = replace(data_set(), cutoff_V=13.7, capacity_Ah=3.33 / share)
+    assert [(f.kind, words in f.detail) for f in found(tests)] == [("other_capacity", True)] * bool(words)
 
 
 def test_repeats_of_packs_that_are_a_little_worn_are_repeats() -> None:

@@ -31,7 +31,8 @@ HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, s
 MAD_TO_SD = 1.4826  # sd of a normal distribution over its median absolute deviation
 SCATTERED = 5.0  # robust sds: rows of one load lie within them but for one in a million
 SMOOTH_S = 30.0  # of the slope: the model is smoother than the turns of an aircraft
-FIRST_READINGS = 8  # temperatures whose median is that of the start: one spike does not move it
+# Temperatures whose median is that of the start, so that one spike does not move it, before the load has warmed a pack.
+FIRST_READINGS, FIRST_S = 8, 40.0
 ROOM_C = 22.0  # ambient of a record without any temperature
 FLAT_SD_V = 0.008  # error of the model where the voltage is flat, per cell
 # A bench holds its load if few rows follow a step: of the upper current (90 % point), and of the rows.
@@ -94,7 +95,7 @@ def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Obs
             capacity_Ah=capacity,
         )
         for run in dataset.runs
-        if np.isfinite(run.current_A).all()
+        if run.is_metered
     ]
 
 
@@ -238,9 +239,10 @@ def stack(records: list[ObservedRecord], *, timing_sd_s: float = 6.0) -> Stack:
 
 
 def _start_temp(record: ObservedRecord) -> float:
-    readings = record.temp_C[np.isfinite(record.temp_C)][:FIRST_READINGS]
-    if readings.size:
-        return float(np.median(readings))
+    known = np.isfinite(record.temp_C)
+    if known.any():
+        first_s = record.time_s[known][0]
+        return float(np.median(record.temp_C[known & (record.time_s <= first_s + FIRST_S)][:FIRST_READINGS]))
     return record.ambient_C if np.isfinite(record.ambient_C) else ROOM_C
 
 
@@ -269,9 +271,11 @@ def after_step(record: ObservedRecord) -> NDArray[np.bool_]:
 
     A voltage read at the step shows the resistance alone, one read some seconds later the polarisation, too. Compared
     with a current that is interpolated between the rows, it would make the fitted resistance up to a fifth too small.
+    The scatter of the ammeter from row to row is no step.
     """
     steps = np.abs(np.diff(record.current_A, prepend=record.current_A[0]))
-    marks: NDArray[np.bool_] = steps > STEP_SHARE * np.percentile(np.abs(record.current_A), 90)
+    least_A = STEP_SHARE * np.percentile(np.abs(record.current_A), 90)
+    marks: NDArray[np.bool_] = steps > max(least_A, SCATTERED * MAD_TO_SD * float(np.median(steps)))
     is_slow_bench = np.isfinite(record.ambient_C) and np.median(np.diff(record.time_s)) > SLOW_SHARE * BIN_S
     return marks if is_slow_bench and np.mean(marks) < HELD_SHARE else np.zeros_like(marks)
 

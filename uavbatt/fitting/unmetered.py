@@ -3,11 +3,13 @@
 The motor draws a constant current of unknown C-rate until the limiter of the speed controller holds the voltage. All
 tests have that load, so that one simulated test stands for all. Voltage and surface temperature are
 fitted together, at the whole minutes at which the study reads them. The C-rate is not identifiable (OCV and
-resistance move with it): it has a prior, and its covariance with the resistance goes into the battery file.
+resistance move with it): it has a prior, that of the study's motor unless the duration of the test contradicts it, and
+its covariance with the resistance goes into the battery file.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +26,9 @@ from uavbatt.fitting.prior import Posterior, Slot
 STEP_S = 5.0  # of the simulation: a twelfth of the time between two readings
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
 SURFACE_SD_K = 0.25  # of a reading to 0.1 °C by hand, beside the place of the sensor
+
+# A full pack that is not cold gives so much of its rated capacity until a cell shows EMPTY_CELL_V under load.
+EMPTY_CELL_V, GIVEN, GIVEN_SD, NOT_COLD_C, CONTRADICTS_SDS = 3.2, 0.93, 0.15, 15.0, 1.5
 
 LOAD_SLOTS = (
     Slot("c_rate", 8.0, 1.5),
@@ -45,9 +50,31 @@ class MeanTest:
     ambient_C: float
 
 
-def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
-    """Return the cell's slots, then those of the unknown load."""
-    return (*prior.cell_slots(effects), *LOAD_SLOTS)
+def rate_slot(test: MeanTest) -> Slot:
+    """Return the prior of the C-rate: the usual one, unless the test lasted too long for it.
+
+    The duration tells the rate by GIVEN. That of a short test does not: a large load lets a full cell sag so far, too.
+    """
+    usual, empty_s = LOAD_SLOTS[0], _empty_s(test)
+    rate = GIVEN * 3600.0 / (float(test.time_s[-1]) if math.isnan(empty_s) else empty_s)
+    if rate >= usual.prior - CONTRADICTS_SDS * usual.sd or test.ambient_C < NOT_COLD_C:
+        return usual
+    return Slot(usual.name, rate, GIVEN_SD * rate)
+
+
+def _empty_s(test: MeanTest) -> float:
+    """Return the time [s] at which the cells fall to EMPTY_CELL_V, between two readings; NaN if they do not."""
+    empty_V = EMPTY_CELL_V * test.cells
+    low = np.flatnonzero(test.voltage_V <= empty_V)
+    if not low.size:
+        return math.nan
+    around = slice(max(int(low[0]) - 1, 0), int(low[0]) + 1)
+    return float(np.interp(-empty_V, -test.voltage_V[around], test.time_s[around]))
+
+
+def slots_of(effects: tuple[str, ...], test: MeanTest) -> tuple[Slot, ...]:
+    """Return the cell's slots, then those of the unknown load of a test."""
+    return (*prior.cell_slots(effects), rate_slot(test), *LOAD_SLOTS[1:])
 
 
 def predict_unmetered(
@@ -75,11 +102,11 @@ def fit_unmetered(test: MeanTest) -> Posterior:
 def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...]) -> list[Posterior]:
     """Fit cell and load to each mean test by itself; they share ambient temperature and cells.
 
-    Those read at the same instants are simulated side by side.
+    Those read at the same instants, with the same prior of the load, are simulated side by side.
     """
-    alike: dict[bytes, list[int]] = {}
+    alike: dict[tuple[bytes, Slot], list[int]] = {}
     for k, test in enumerate(tests):
-        alike.setdefault(test.time_s.tobytes(), []).append(k)
+        alike.setdefault((test.time_s.tobytes(), rate_slot(test)), []).append(k)
     posteriors: dict[int, Posterior] = {}
     for which in alike.values():
         posteriors.update(zip(which, _fit_alike([tests[k] for k in which], effects), strict=True))
@@ -87,7 +114,7 @@ def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...]) -> list[Poster
 
 
 def _fit_alike(tests: list[MeanTest], effects: tuple[str, ...]) -> list[Posterior]:
-    slots = slots_of(effects)
+    slots = slots_of(effects, tests[0])
 
     def simulate(u: Array) -> Array:
         return np.moveaxis(predict_unmetered(slots, effects, prior.values(slots, u), tests[0], tests[0].time_s), -1, 0)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.heldout import HeldOut, known_mean
 from uavbatt.validation.iso5725 import mandel
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
 from uavbatt.validation.study.paper import PaperReplay
@@ -91,13 +90,5 @@ def consistency(readings: Readings) -> tuple[Consistency, ...]:
 
 def mean_prediction(held_out: HeldOut) -> ModelCurve:
     """Average the predictions over the held-out occasions; an instant that none predicts is NaN."""
-    surface = None if held_out.model_C is None else _known_mean(held_out.model_C)
-    return ModelCurve(held_out.model, held_out.time_s, _known_mean(held_out.model_V), surface)
-
-
-def _known_mean(table: Array) -> Array:
-    """Return the mean of the known values over all axes but the last."""
-    flat = table.reshape(-1, table.shape[-1])
-    finite = np.isfinite(flat)
-    total = np.where(finite, flat, 0.0).sum(axis=0)
-    return np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), math.nan)
+    surface = None if held_out.model_C is None else known_mean(held_out.model_C, axis=(0, 1))
+    return ModelCurve(held_out.model, held_out.time_s, known_mean(held_out.model_V, axis=(0, 1)), surface)

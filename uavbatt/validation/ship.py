@@ -102,11 +102,11 @@ def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
 def _unmetered(dataset: DataSet, ambient_C: float) -> ShippedModel:
     home = dataset.at(ambient_C)
     runs = [r for r in home if sum(q.sample == r.sample for q in home) > 1]
-    fit = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
+    test = mean_test(dataset, runs, ambient_C)
+    fit, load = unmetered.fit_unmetered(test), unmetered.rate_slot(test)
     error = fit.standard_errors
-    load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
-    # With an unmetered load, ohm·Ah and capacity are as uncertain as the C-rate: by the prior, 1.5 of 8 C. The time of
-    # the knee shows the charge, which halves the uncertainty of the capacity.
+    # With an unmetered load, ohm·Ah and capacity are as uncertain as the C-rate: by the prior, 1.5 of 8 C for the
+    # study. The time of the knee shows the charge, which halves the uncertainty of the capacity.
     unknown_rate = load.sd / load.prior
     names = [s.name for s in fit.slots]
     i, j = names.index("c_rate"), names.index("r0_ohmAh")

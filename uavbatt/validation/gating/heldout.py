@@ -73,14 +73,12 @@ class HeldOut:
 
     def residual_V(self) -> Array:
         """Return model minus measured [V], [occasion, level], the mean over the samples of an occasion."""
-        out: Array = np.nanmean(self.model_V - self.measured_V, axis=1)
-        return out
+        return known_mean(self.model_V - self.measured_V, axis=1)
 
     @property
     def mean_V(self) -> Array:
         """Return the mean of the measured voltages [V] at each level."""
-        out: Array = np.nanmean(self.measured_V, axis=(0, 1))
-        return out
+        return known_mean(self.measured_V, axis=(0, 1))
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
@@ -93,6 +91,14 @@ class HeldOut:
             return list(self.curves)
         grid = np.ndindex(self.measured_V.shape[:2])
         return [Curve(i, j, self.time_s, self.measured_V[i, j], self.model_V[i, j]) for i, j in grid]
+
+
+def known_mean(table: Array, axis: int | tuple[int, ...]) -> Array:
+    """Return the mean of the known values of a table over one or more axes; NaN where none is known."""
+    known = np.isfinite(table)
+    count = known.sum(axis=axis)
+    total = np.where(known, table, 0.0).sum(axis=axis)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
@@ -113,8 +119,8 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
 
 
 def is_metered(dataset: DataSet) -> bool:
-    """Return True if the current of every run was measured."""
-    return all(np.isfinite(r.current_A).all() for r in dataset.runs)
+    """Return True if the current of most runs was measured: the model is fitted to these, and predicts these."""
+    return bool(np.mean([run.is_metered for run in dataset.runs]) > 0.5)
 
 
 def repeats(readings: Readings) -> Levels:
@@ -187,8 +193,8 @@ def smallest_step(runs: tuple[Run, ...]) -> float:
 
 def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
     """Mark the instants of the levels that come before the load: by the measured current, else the one at 0 s."""
-    run = dataset.at(levels.ambient_C)[0]
-    if not np.isfinite(run.current_A).all():
+    run = next((r for r in dataset.at(levels.ambient_C) if r.is_metered), None)
+    if run is None:
         return tuple(bool(t <= 0.0) for t in levels.time_s)
     phase = fast_records.phases(run.current_A)
     rested = run.current_A[0] < fast_records.rest_limit_A(run.current_A)
@@ -224,11 +230,13 @@ def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
     training = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
     fit = solve.fit_cell(observed.stack(observed.from_dataset(training)), effects)
-    tested = [*out, *others]
+    tested = [run for run in (*out, *others) if run.is_metered]
+    volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
+    surface, curves, singles = volts.copy(), list[Curve](), list[HeldOutRun]()
+    if not tested:
+        return _Fold(volts, surface, curves, singles)
     stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
     run = solve.replay_fit(stack, fit, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
-    volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
-    surface, curves, singles = volts.copy(), [], []
     k = levels.occasions.index(occasion)
     for j, test in enumerate(tested):
         rows = stack.compare[:, j]

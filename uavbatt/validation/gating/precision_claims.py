@@ -25,7 +25,7 @@ from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
 from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
 from uavbatt.validation.iso5725.intermediate import crossed
 from uavbatt.validation.iso5725.intervals import satterthwaite
-from uavbatt.validation.judging.corridor import shared_table
+from uavbatt.validation.judging.corridor import LEAST_OCCASIONS, shared_table
 from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.judging.independence import Dependence, dependence
 
@@ -74,6 +74,8 @@ def reproducibility_claim(
         return not_judged(reason, {**p_value, "A_R": A_R})
     table = (held_out.model_V - held_out.measured_V)[:, :, at]
     table = table[np.isfinite(table).all(axis=(1, 2))]
+    if len(table) < LEAST_OCCASIONS:
+        return not_judged(f"{len(table)} occasions predicted, at least {LEAST_OCCASIONS} are needed", p_value)
     u, df = _random_samples(table)
     guard = budget.voltage_budget(held_out, at, table.mean(axis=1), instruments).guard
     _, df, half = budget.expand(u, df, guard / budget.ONE_SIDED, at.size)

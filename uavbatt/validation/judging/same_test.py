@@ -1,4 +1,4 @@
-"""Findings about runs that are not repeats of one test: copied, cut short, of another load, of another temperature.
+"""Findings about runs that are not repeats of one test: copied, cut short, of another load, charge or temperature.
 
 Statistics take such a run for scatter, or do not see it: a comparison ends with the shortest run, and a copy makes the
 repeats look better than they are.
@@ -11,6 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
+from uavbatt.dataset import DataSet
+from uavbatt.dataset_checks import charge_Ah
 from uavbatt.dataset_csv import Array, Run
 from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.judging.readings import Readings
@@ -21,7 +23,11 @@ LEAST_CHANCE = 1e-6
 USUAL_SHARE = 0.5  # of equal readings, where there are no other repeats to tell it
 FEWEST_REPEATS = 3
 SHORT_SHARE = 0.7  # of the median duration: worn packs of one type differ by less
-OTHER_LOAD = 0.1  # of the median current
+OTHER_LOAD, LEAST_OTHER_LOAD = 0.1, 0.04  # of the median current; the smaller one where the repeats tell their scatter
+SCATTERED, MAD_TO_SD, TELLING_REPEATS = 6.0, 1.4826, 6  # robust sds, and so many repeats tell them
+# Discharges at room temperature down to the cut-off give so much of the rated capacity: at 10 C and more, of a used
+# pack, three quarters; a new one holds a little more than is printed on it.
+ROOM_C, GIVEN_SHARE = 15.0, (0.7, 1.15)
 FAR_FROM_AIR_K = 10.0  # a pack that has lain at its ambient temperature begins with it
 SAME_TEMP_K = 3.0
 MOST_NAMED = 6
@@ -32,6 +38,8 @@ def not_the_same_test(readings: Readings, ambient_C: float) -> Iterator[Finding]
     runs = readings.dataset.runs
     yield from _copies(runs)
     yield from _far_from_air(runs)
+    yield from _unmetered(runs)
+    yield from _not_the_rated_capacity(readings.dataset)
     repeats = readings.dataset.at(ambient_C)
     if len(repeats) >= FEWEST_REPEATS:
         yield from _cut_short(repeats)
@@ -90,6 +98,38 @@ def _far_from_air(runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding("surface_far_from_ambient", title, f"{named} ({cause}).", "warning", {"off_K": most_K})
 
 
+def _unmetered(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Find runs without a current among others with one."""
+    without = [run for run in runs if not run.is_metered]
+    if without and len(without) < len(runs):
+        most_of = "most of them" if 2 * len(without) >= len(runs) else _list([_name(run) for run in without])
+        verb = "were" if len(without) > 1 else "was"
+        title = f"The current of {len(without)} of {len(runs)} runs {verb} not measured"
+        is_used = 2 * len(without) < len(runs)
+        means = "the model is fitted to the others and predicts these" if is_used else "the model is fitted to none"
+        detail = f"{most_of}: {means}. Leave no current empty, or fill in that of the load."
+        yield Finding("unmetered_run", title, detail, "warning", {"runs": len(without)})
+
+
+def _not_the_rated_capacity(dataset: DataSet) -> Iterator[Finding]:
+    """Find whole discharges whose charge is not near the rated capacity."""
+    whole = [run for run in dataset.runs if run.is_metered and run.ambient_C >= ROOM_C]
+    given_Ah = [charge_Ah(run) for run in whole if run.voltage_V[-1] <= dataset.cutoff_V]
+    if not given_Ah or dataset.capacity_Ah is None:
+        return
+    usual_Ah = float(np.median(given_Ah))
+    share = usual_Ah / dataset.capacity_Ah
+    if GIVEN_SHARE[0] <= share <= GIVEN_SHARE[1]:
+        return
+    title = f"Whole discharges give {share:.0%} of the rated capacity"
+    cause = "worn packs, or an ammeter that reads low" if share < 1.0 else "an ammeter that reads high"
+    detail = (
+        f"Half of {len(given_Ah)} runs give {usual_Ah:.3g} Ah or more down to {dataset.cutoff_V:g} V, "
+        f"{dataset.capacity_Ah:g} Ah are stated: {cause}, or another capacity. A battery file takes the measured one."
+    )
+    yield Finding("other_capacity", title, detail, "warning", {"given_Ah": usual_Ah, "rated_Ah": dataset.capacity_Ah})
+
+
 def _cut_short(repeats: Sequence[Run]) -> Iterator[Finding]:
     lasts_s = np.array([run.time_s[-1] - run.time_s[0] for run in repeats])
     usual_s = float(np.median(lasts_s))
@@ -108,7 +148,11 @@ def _other_load(repeats: Sequence[Run]) -> Iterator[Finding]:
     if np.sum(np.isfinite(means_A)) < FEWEST_REPEATS:
         return
     usual_A = float(np.nanmedian(means_A))
-    other = [(run, a) for run, a in zip(repeats, means_A, strict=True) if abs(a - usual_A) > OTHER_LOAD * abs(usual_A)]
+    least_A = OTHER_LOAD * abs(usual_A)
+    if np.sum(np.isfinite(means_A)) >= TELLING_REPEATS:
+        scatter_A = MAD_TO_SD * float(np.nanmedian(np.abs(means_A - usual_A)))
+        least_A = min(least_A, max(LEAST_OTHER_LOAD * abs(usual_A), SCATTERED * scatter_A))
+    other = [(run, a) for run, a in zip(repeats, means_A, strict=True) if abs(a - usual_A) > least_A]
     if other:
         named = _list([f"{_name(run)} with {a:.3g} A" for run, a in other])
         detail = f"{named}; half of the runs draw {usual_A:.3g} A or more. The voltages of other loads are no repeats."
