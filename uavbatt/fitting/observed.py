@@ -31,8 +31,8 @@ HELD_WINDOW_S = 30.0  # long enough for the scatter of a voltage that is held, s
 MAD_TO_SD = 1.4826  # sd of a normal distribution over its median absolute deviation
 SCATTERED = 5.0  # robust sds: rows of one load lie within them but for one in a million
 SMOOTH_S = 30.0  # of the slope: the model is smoother than the turns of an aircraft
-# Temperatures whose median is that of the start, so that one spike does not move it, before the load has warmed a pack.
-FIRST_READINGS, FIRST_S = 8, 40.0
+FIRST_READINGS = 8  # temperatures whose median is that of the start: one spike does not move it
+BENCH_START_S = 40.0  # of a bench test, whose rows may be a minute apart: later it is warmed by its load
 ROOM_C = 22.0  # ambient of a record without any temperature
 FLAT_SD_V = 0.008  # error of the model where the voltage is flat, per cell
 # A bench holds its load if few rows follow a step: of the upper current (90 % point), and of the rows.
@@ -240,9 +240,10 @@ def stack(records: list[ObservedRecord], *, timing_sd_s: float = 6.0) -> Stack:
 
 def _start_temp(record: ObservedRecord) -> float:
     known = np.isfinite(record.temp_C)
-    if known.any():
-        first_s = record.time_s[known][0]
-        return float(np.median(record.temp_C[known & (record.time_s <= first_s + FIRST_S)][:FIRST_READINGS]))
+    readings, times_s = record.temp_C[known][:FIRST_READINGS], record.time_s[known][:FIRST_READINGS]
+    if readings.size:
+        is_bench = np.isfinite(record.ambient_C)
+        return float(np.median(readings[times_s <= times_s[0] + BENCH_START_S] if is_bench else readings))
     return record.ambient_C if np.isfinite(record.ambient_C) else ROOM_C
 
 
