@@ -23,6 +23,7 @@ FAR_E7 = 1e7 * 30_000.0 / METRES_PER_DEGREE  # in 1e-7 degrees
 NEAR_E7 = 1e7 * 300.0 / METRES_PER_DEGREE
 POLE_E7 = 9e8
 WANDER_S, WANDER_M = 30.0, 3.0
+VELOCITY_NOISE_MS, WIND_WANDER_S, WIND_WANDER_MS = 0.3, 60.0, 1.5
 DRIFT_MS = 0.02
 
 
@@ -91,6 +92,37 @@ def drifting(message: Any, time_s: float) -> bool:
     return True
 
 
+def noisy_velocity() -> Fault:
+    """Return a fault in which each velocity has noise of VELOCITY_NOISE_MS in each axis."""
+    rng = np.random.default_rng(2)
+
+    def fault(message: Any, _: float) -> bool:
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            for name, off_ms in zip(("vx", "vy", "vz"), rng.normal(0.0, VELOCITY_NOISE_MS, 3), strict=True):
+                setattr(message, name, getattr(message, name) + round(100.0 * off_ms))
+        return True
+
+    return fault
+
+
+def wandering_wind() -> Fault:
+    """Return a fault in which the wind wanders by WIND_WANDER_MS in each axis around the told one."""
+    rng, keep = np.random.default_rng(3), math.exp(-1.0 / WIND_WANDER_S)
+    off_ms = np.zeros(2)
+
+    def fault(message: Any, _: float) -> bool:
+        nonlocal off_ms
+        if message.get_type() == "WIND":
+            off_ms = off_ms * keep + rng.normal(0.0, WIND_WANDER_MS * math.sqrt(1.0 - keep**2), 2)
+            from_rad = math.radians(message.direction)
+            north_ms, east_ms = message.speed * np.array([math.cos(from_rad), math.sin(from_rad)]) + off_ms
+            message.speed = math.hypot(north_ms, east_ms)
+            message.direction = math.degrees(math.atan2(east_ms, north_ms))
+        return True
+
+    return fault
+
+
 def _without_velocity(message: Any, _: float) -> bool:
     """Send no velocity, as some autopilots do."""
     if message.get_type() == "GLOBAL_POSITION_INT":
@@ -111,8 +143,10 @@ FAULTS: dict[str, Callable[[], Fault]] = {
     "no velocity told, always": lambda: _without_velocity,
     "velocity of 90 m/s": lambda: changed("GLOBAL_POSITION_INT", vx=lambda _: 9000.0),
     "velocity 15 m/s too much": lambda: changed("GLOBAL_POSITION_INT", vx=lambda v: v + 1500.0),
+    "velocity with noise of 0.3 m/s, always": noisy_velocity,
     "wind of 80 m/s": lambda: changed("WIND", speed=lambda _: 80.0),
     "wind 1.7 times the true one, always": lambda: changed("WIND", always=True, speed=lambda v: 1.7 * v),
+    "wind wanders by 1.5 m/s, always": wandering_wind,
     "wind turned by 40°, always": lambda: changed("WIND", always=True, direction=lambda v: (v + 40.0) % 360.0),
     "home at the pole": lambda: changed("HOME_POSITION", latitude=lambda _: POLE_E7),
     "home never told, always": lambda: dropped("HOME_POSITION"),

@@ -65,7 +65,12 @@ def flown_rows(flight: Flight, sensors: Installation) -> PowerRows | None:
         progress = progress.after(sample.time_s, navigation)
         motion, power_W = progress.flown(sample.time_s, navigation), _power_W(sensors, sample)
         row_s, before_s = sample.time_s - before_s, sample.time_s
-        if motion is not None and progress.is_steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
+        if (
+            motion is not None
+            and progress.steadiness.is_steady
+            and math.isfinite(power_W)
+            and 0.0 < row_s <= LONGEST_ROW_S
+        ):
             rows.append((sample.time_s, power_W, *map(float, motion), row_s))
     table = np.array(rows)
     if not len(table):

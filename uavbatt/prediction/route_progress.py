@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.battery.powers import Powers, terms
-from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings, offset_m
+from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
@@ -14,6 +14,7 @@ from uavbatt.prediction.route_passed import Passed
 from uavbatt.prediction.route_path import Path, path, place
 from uavbatt.prediction.route_return import finite_or, speeds_of
 from uavbatt.prediction.route_track import Track
+from uavbatt.prediction.steadiness import Steadiness
 from uavbatt.records import NAN
 
 OVER_HOME_M = 6.0
@@ -24,8 +25,6 @@ AIRBORNE_M = 1.0
 ASTRAY, ASTRAY_S = 0.1, 4.0  # a new item may be reported some seconds late
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 LEAST_SEEN_MS, SEEN_STEP_MS = 2.0, 0.5
-AGREEING_MS = 4.0  # between the velocity told and that of two positions
-STEADY_MS = 0.3  # change of velocity in TOLD_PERIOD_S of a hover in gusts
 
 
 class Movement(NamedTuple):
@@ -52,8 +51,7 @@ class Progress(NamedTuple):
     passed: Passed = Passed()
     time_s: float = NAN
     told_s: float = NAN  # time at which the power was last compared with the model
-    moved: Position | None = None  # position and velocity TOLD_PERIOD_S ago
-    is_steady: bool = True  # the velocity is kept, so that the power is not that of a turn
+    steadiness: Steadiness = Steadiness()
     lessons: FlightLessons = FlightLessons()
     track: Track = Track()
     seen_ms: float = NAN  # the highest speed over ground that it kept on legs whose speed nobody states
@@ -63,7 +61,7 @@ class Progress(NamedTuple):
     ) -> Progress:
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
-        moved = self._on_path(time_s, navigation)._steadied(navigation)
+        moved = self._on_path(time_s, navigation)._moved(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
         if navigation.mode is Mode.MISSION:
             moved = moved._followed(time_s, navigation, row_s)._with_speed_seen(navigation)
@@ -73,20 +71,19 @@ class Progress(NamedTuple):
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
         moved = moved._replace(told_s=time_s)
-        if flown is None or not moved.is_steady or not told_s > 0.0:
+        if flown is None or not moved.steadiness.is_steady or not told_s > 0.0:
             return moved
         columns = terms(*flown, powers.induced_ms)
         return moved._replace(lessons=moved.lessons.with_power(powers, flown.airspeed_ms, columns, power_W, told_s))
 
-    def _steadied(self, navigation: Navigation) -> Progress:
-        """Return the progress with a new position; it is steady if the velocity is that of TOLD_PERIOD_S ago."""
-        now, home, track = navigation.position, navigation.home, self.track
-        is_steady = _is_steady(self.moved, now)
-        if 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S:
-            return self._replace(is_steady=is_steady)
-        if now is not None and home is not None:
-            track = track.after(now.time_s, place(home, now), home, navigation.mode is Mode.RETURN_BY_TRACK)
-        return self._replace(moved=now, is_steady=is_steady, track=track)
+    def _moved(self, navigation: Navigation) -> Progress:
+        """Return the progress with a new position."""
+        steadiness, home = self.steadiness.after(navigation.position), navigation.home
+        if steadiness.moved is self.steadiness.moved or steadiness.moved is None or home is None:
+            return self._replace(steadiness=steadiness)
+        moved = steadiness.moved
+        track = self.track.after(moved.time_s, place(home, moved), home, navigation.mode is Mode.RETURN_BY_TRACK)
+        return self._replace(steadiness=steadiness, track=track)
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:
         """Return the progress with the leg that the autopilot flies to, and with the timing of the legs behind."""
@@ -161,7 +158,7 @@ class Progress(NamedTuple):
     def _with_speed_seen(self, navigation: Navigation) -> Progress:
         """Return the progress with the speed that is kept now, on a leg whose speed neither vehicle nor item states."""
         position, settings = navigation.position, navigation.settings
-        if position is None or not (self.is_steady and self.is_on_path) or math.isfinite(settings.cruise_ms):
+        if position is None or not (self.steadiness.is_steady and self.is_on_path) or math.isfinite(settings.cruise_ms):
             return self
         leg, speed_ms = self.leg, math.hypot(position.north_ms, position.east_ms)
         is_own = leg.phase is Phase.ROUTE and leg.speed_ms == speeds_of(settings).cruise_ms and not leg.circle_m > 0.0
@@ -275,23 +272,3 @@ def overdue(progress: Progress, time_s: float, navigation: Navigation) -> str:
     if late_s > OVERDUE_LEGS * planned_s + OVERDUE_S:
         return f"item {legs[0].seq} is overdue: {late_s:.0f} s on a leg of {planned_s:.0f} s"
     return ""
-
-
-def _since_s(before: Position | None, now: Position | None) -> float:
-    return now.time_s - before.time_s if before is not None and now is not None else math.inf
-
-
-def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """Return True if the velocity is kept or not known; in a corner the power is that of the turn.
-
-    A velocity that the positions deny is a fault of the receiver.
-    """
-    if before is None or now is None:
-        return now is None
-    since_s = _since_s(before, now)
-    change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
-    if not change_ms <= STEADY_MS * max(since_s / TOLD_PERIOD_S, 1.0):
-        return False
-    north_m, east_m = offset_m(before, now.lat_deg, now.lon_deg)
-    denied_m = math.hypot(north_m - now.north_ms * since_s, east_m - now.east_ms * since_s)
-    return denied_m <= AGREEING_MS * max(since_s, TOLD_PERIOD_S)
