@@ -21,7 +21,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
-from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, speeds, trace
+from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, other_powers, speeds, trace
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
@@ -68,6 +68,22 @@ def test_phases_are_means() -> None:
     assert phases.flight_W == pytest.approx(POWER_W, rel=0.06)
     assert phases.take_off_W == pytest.approx(POWER_W, rel=0.25)
     assert phases.last_minute_W == pytest.approx(POWER_W, rel=0.25)
+
+
+def of_power(source: str, share: float) -> Flight:
+    rows = tuple(replace(sample, current_A=share * sample.current_A) for sample in flight().samples)
+    return replace(flight(), source=source, samples=rows)
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(0.5, True), (0.75, False), (1.4, False), (2.0, True)])
+def test_a_flight_of_another_power_is_named(share: float, is_named: bool) -> None:
+    """A log of another aircraft, or with half of the current, made the hover power of a fleet 8 to 13 % wrong."""
+    flights = [of_power(name, 1.0) for name in "abc"] + [of_power("odd", share)]
+    assert [one.source for one in other_powers(flights)] == ["odd"] * is_named
+
+
+def test_two_flights_do_not_tell_which_of_them_is_odd() -> None:
+    assert list(other_powers([of_power("a", 1.0), of_power("b", 2.0)])) == []
 
 
 def test_coarse_rows_teach_the_same_energy() -> None:

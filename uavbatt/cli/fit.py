@@ -162,10 +162,13 @@ def _findings(found: FittedBattery) -> list[str]:
 def _learned(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> VehicleFile:
     """Return the vehicle file of the flights. Raises UsageError if there are none."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.fitting.vehicle import fit_vehicle
+    from uavbatt.fitting.vehicle import fit_vehicle, other_powers
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
+    for one in other_powers(flights):
+        cause = "another aircraft, or a current sensor that reads wrong?"
+        remark(f"warning: {one.source}: {one.power_W:.0f} W, the usual flight {one.usual_W:.0f} W: {cause}")
     return fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
 
 
@@ -175,7 +178,10 @@ def _vehicle(path: Path, learned: VehicleFile, flights: int) -> str:
 
     write_vehicle(learned, path)
     phases, used = learned.phases, f"{len(learned.traces)} of {counted(flights, 'flight')}"
+    by_speed = "not determined: no log holds two minutes of steady flight with its speed"
+    if learned.powers is not None:
+        by_speed = f"from {counted(learned.powers.flights, 'flight')}, {learned.powers.seconds / 60.0:.0f} min"
     return (
-        f"{path}: {used}; mean power {phases.flight_W:.0f} W, first minute "
-        f"{phases.take_off_W:.0f} W, last minute {phases.last_minute_W:.0f} W"
+        f"{path}: {used}; mean power {phases.flight_W:.0f} W, first minute {phases.take_off_W:.0f} W, "
+        f"last minute {phases.last_minute_W:.0f} W; power over speed and climb {by_speed}"
     )

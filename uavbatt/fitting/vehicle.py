@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,6 +28,16 @@ FLYING_SHARE = 0.3  # of the upper power (90 % point): less is the aircraft on t
 LEAST_ROWS = 5
 LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
 
+OTHER_FACTOR, LEAST_FLIGHTS = 1.6, 3  # payloads and winds of one aircraft differ by less; two flights tell nothing
+
+
+class OtherPower(NamedTuple):
+    """OtherPower is a flight whose power [W] is far from the median of the others [W]."""
+
+    source: str
+    power_W: float
+    usual_W: float
+
 
 def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
     """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is."""
@@ -47,6 +59,24 @@ def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options:
         powers=powers(flights, installation_of(battery, 1, 1.0)),
         speeds=speeds(flights),
     )
+
+
+def other_powers(flights: list[Flight]) -> Iterator[OtherPower]:
+    """Yield the flights of another aircraft, or with another current sensor: their power is far from the others'."""
+    powers_W = {flight.source: _flying_W(flight) for flight in flights}
+    known_W = [watts for watts in powers_W.values() if math.isfinite(watts)]
+    if len(known_W) < LEAST_FLIGHTS:
+        return
+    usual_W = float(np.median(known_W))
+    for source, watts in powers_W.items():
+        if not usual_W / OTHER_FACTOR <= watts <= usual_W * OTHER_FACTOR and math.isfinite(watts):
+            yield OtherPower(source, watts, usual_W)
+
+
+def _flying_W(flight: Flight) -> float:
+    """Return the median power of a flight [W]; NaN without a current."""
+    watts = np.array([s.voltage_V * s.current_A for s in flight.samples if s.voltage_V > 0.0 and s.current_A > 0.0])
+    return float(np.median(watts[watts > FLYING_SHARE * np.percentile(watts, 90)])) if watts.size else math.nan
 
 
 def speeds(flights: list[Flight]) -> Speeds | None:
