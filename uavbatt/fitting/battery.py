@@ -16,7 +16,7 @@ from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
 from uavbatt.battery.sizing import PackSize, possible_facts
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
-from uavbatt.fitting import assemble, observed, prior, solve, wander
+from uavbatt.fitting import assemble, observed, prior, solve, wander, whole_flights
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry
 from uavbatt.fitting.solve import CellFit, OwnPrior
@@ -80,12 +80,14 @@ class FittedRecords(NamedTuple):
 def fit_battery(size: RecordedPack, datasets: list[DataSet], flights: list[Flight]) -> FittedBattery:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
-    flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
-    if not bench and not flown:
-        raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
+    read, unread = whole_flights.read(flights, size.cells, size.capacity_Ah)
+    if not bench and not read:
+        raise NotEnoughData(next(iter(unread), "nothing to fit: expected bench tests or flights with a current"))
+    flown, odd = whole_flights.sorted_out(read)
     records = FittedRecords(observed.stack(bench + flown), len(bench), len(flown))
     fit = _solve(records)
-    doubtful, unknown = _doubtful(fit), _unknown_words(fit, records)
+    doubtful = (*(f"{words}: left out" for words in unread), *odd, *_doubtful(fit))
+    unknown = _unknown_words(fit, records)
     known = (*_known_words(fit), *(_pack_words(fit) if records.has_spread else ()))
     return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)
 

@@ -1,0 +1,65 @@
+"""Flights that a fit leaves out: begun in the air or with a part of the charge, or fuller than the cells of the others.
+
+Under load a voltage tells the charge only by the drop, which nobody knows before the fit: it may be three times as
+large as usual, and on the flat part of the OCV any charge fits. One log of eight that began five minutes after take-off
+bent the OCV of all by up to 0.3 V, and made lithium-ion cells of LiPo cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
+from uavbatt.errors import NotEnoughData
+from uavbatt.fitting import observed, solve
+from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.records import Flight
+
+LEAST_BEGUN_SOC = 0.55  # by a usual drop
+
+
+def read(flights: Sequence[Flight], cells: int, capacity_Ah: float) -> tuple[list[ObservedRecord], list[str]]:
+    """Return the flights that have enough rows with voltage and current, and for each other one what it lacks."""
+    found, words = [], []
+    for flight in flights:
+        try:
+            record = observed.from_flight(flight, cells, capacity_Ah)
+            observed.binned(record)
+            found.append(record)
+        except NotEnoughData as error:  # also of too few bins
+            words.append(str(error))
+    return found, words
+
+
+def sorted_out(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
+    """Return the flights that are kept, and for each other one in words why it is left out.
+
+    What half of the flights have in common is no fault of one: then all are kept.
+    """
+    if not flown:
+        return [], []
+    stack = observed.stack(flown)
+    first_V = stack.voltage_V[0] / stack.cells
+    is_later = np.logical_not(np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC))
+    is_fuller = np.logical_and(stack.rested, first_V > ORDINARY_FULL_V)
+    kept, words = [], []
+    for record, later, fuller in zip(flown, _few(is_later), _few(is_fuller), strict=True):
+        if later:
+            words.append(_said(record, "under load", "a part of a flight, or a pack that was not full"))
+        elif fuller:
+            words.append(_said(record, "at rest", "another voltmeter or type of cell than in the other flights"))
+        else:
+            kept.append(record)
+    return kept, words
+
+
+def _few(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the marks, or none at all where at least half of the flights are marked."""
+    return marks if 2 * int(np.sum(marks)) < marks.size else np.zeros_like(marks)
+
+
+def _said(record: ObservedRecord, how: str, why: str) -> str:
+    return f"{record.name} begins {how} at {record.voltage_V[0] / record.cells:.2f} V a cell and is left out: {why}"
