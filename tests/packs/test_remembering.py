@@ -128,6 +128,15 @@ def test_a_cold_morning_without_a_thermometer_is_no_damage() -> None:
     assert math.exp(known[-1].known.mean[1]) == pytest.approx(5.0, rel=0.1)
 
 
+def test_a_log_that_begins_in_the_air_tells_little_of_the_resistance(emptied, record) -> None:
+    """Logs from four minutes after take-off on had "43 % more resistance at once: damaged?"."""
+    begun_s = emptied.samples[0].time_s + 240.0
+    later = replace(emptied, samples=tuple(s for s in emptied.samples if s.time_s > begun_s))
+    found = remembering.flight_for_ledger(BATTERY, OPTIONS, later).record
+    assert math.sqrt(found.told.matrix[0, 0]) > 0.3 > 2.0 * math.sqrt(record.told.matrix[0, 0])
+    assert abs(found.told.log_ohm - record.told.log_ohm) < 2.0 * math.sqrt(found.told.matrix[0, 0])
+
+
 def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):
     from uavbatt.plan.endurance import TakeOff, endurance, resolve
     from uavbatt.prediction.load import ConstantLoad

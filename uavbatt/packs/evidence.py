@@ -35,6 +35,9 @@ COLD_SD_PER_K = np.array([0.005, 0.002])
 # Without a thermometer a cold pack looks like a worn one: 8 K are a quarter of the resistance, and seven flights at
 # 6 °C were read with 25 % too little capacity (32 flights of 6 to 33 °C: an error of 0.16).
 UNMEASURED_SD = np.array([0.25, 0.17])
+# A log that begins in the air does not show how far the voltage has fallen by then: one of four minutes after
+# take-off was read with 43 % more resistance.
+BEGUN_LATER_SD = np.array([0.30, 0.10])
 # With the generic file the evidence is worse than it says: over 128 flights of 24 packs of six makes ln Ah lay 1.1 to
 # 1.8 of its sd from the truth (root mean square).
 GENERIC_FACTOR = 2.0
@@ -43,13 +46,13 @@ SMALLEST_SHARE, LARGEST_SHARE, MAGNIFIED_SHARE = 1e-6, 0.98, 0.5
 
 
 def evidence_of_flight(
-    pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float, is_generic: bool
+    pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float, *, is_generic: bool, is_begun_later: bool
 ) -> FlightEvidence:
     """Return the evidence of a flight.
 
     loaded : beliefs under load in order of time; last : belief at the last row of all
     temp_C : mean temperature of the pack under load [°C]; NaN if not measured
-    is_generic : the flight is read with the generic battery file
+    is_generic : the flight is read with the generic battery file; is_begun_later : its log begins in the air
     """
     # An unknown make's discrepancy is mostly its open-circuit voltage, which is no resistance.
     ohms_per_V = 0.0 if is_generic else _ohms_per_volt(pack)
@@ -58,7 +61,7 @@ def evidence_of_flight(
     away_sd = COLD_SD_PER_K * abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNMEASURED_SD
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)
-    scatter += np.diag(LEAST_SD**2 + away_sd**2)
+    scatter += np.diag(LEAST_SD**2 + away_sd**2 + is_begun_later * BEGUN_LATER_SD**2)
     scatter *= GENERIC_FACTOR**2 if is_generic else 1.0
     return FlightEvidence(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
 

@@ -33,6 +33,7 @@ SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a shorter flight shows nothing of the pack
 LONGEST_STEP_S = 60.0
+BEGUN_SOC = 0.92  # a log that begins under load with less charge begins in the air, or nobody knows its rest
 LOOKS = 5  # times that the belief under load is read; more of them show no more
 
 
@@ -97,8 +98,11 @@ def flight_for_ledger(
     if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return FlightForLedger(None, "no estimate could be made")
     temp_C, is_generic = _mean_temp_C(rows[: last_loaded + 1]), battery.certificate.status == "generic"
-    said = evidence_of_flight(pack, loaded, last or loaded[-1], temp_C, is_generic)
     estimates = [e for some, _ in looks for e in some] + end
+    begun_later = _is_begun_later(rows, estimates[0].soc)
+    said = evidence_of_flight(
+        pack, loaded, last or loaded[-1], temp_C, is_generic=is_generic, is_begun_later=begun_later
+    )
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
     return FlightForLedger(_record(battery, size, pack, flight, rows, estimates, said))
@@ -153,6 +157,12 @@ def _last_loaded(rows: Sequence[Sample]) -> int | None:
     if float(steps_s[is_loaded].sum()) < LEAST_LOADED_S:
         return None
     return int(np.flatnonzero(is_loaded)[-1])
+
+
+def _is_begun_later(rows: Sequence[Sample], soc: float) -> bool:
+    """Return True if the first row is under load, and its charge is not that of a full pack."""
+    current_A = np.array([row.current_A for row in rows])
+    return bool(current_A[0] > loaded_A(current_A)) and soc < BEGUN_SOC
 
 
 def _mean_temp_C(rows: Sequence[Sample]) -> float:
