@@ -11,6 +11,8 @@ from command import called, run
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
+from uavbatt.cli.diagnose_records import one_size
+from uavbatt.errors import NotEnoughData
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
@@ -112,6 +114,15 @@ def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: P
     done = called("diagnose", first, other, "--battery", "lipo-generic", folder=tmp_path)
     assert done.returncode == 4
     assert "different packs" in done.stderr
+
+
+def test_a_log_that_does_not_state_its_pack_is_of_the_same_pack() -> None:
+    """A log without parameters had the 5.016 Ah of the battery file, the others 5 Ah, and the diagnosis was refused."""
+    stated, by_file, later = (4, 5.0, 13.2), (4, 5.016, 13.2), (4, 5.0, 13.4)
+    assert one_size([by_file, stated, stated, later]) == stated
+    for other in ((4, 5.2, 13.2), (5, 5.0, 13.2)):
+        with pytest.raises(NotEnoughData, match="different packs"):
+            one_size([stated, other])
 
 
 def test_followed_flights_are_taken_in_order_and_their_course_is_in_json_and_page(

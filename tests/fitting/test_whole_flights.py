@@ -11,7 +11,7 @@ import pytest
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import FittedBattery, RecordedPack, fit_battery
 from uavbatt.fitting.observed import ObservedRecord
-from uavbatt.fitting.whole_flights import sorted_out
+from uavbatt.fitting.whole_flights import alike_when_full, from_take_off
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 
@@ -32,22 +32,22 @@ PART_CHARGED = record("part", 3.80, 0.2)  # at rest its charge is known
 
 
 def test_a_log_that_begins_in_the_air_is_left_out_and_named() -> None:
-    kept, words = sorted_out([RESTED, LATER, FULL, PART_CHARGED])
+    kept, words = from_take_off([RESTED, LATER, FULL, PART_CHARGED])
     assert [r.name for r in kept] == ["rested", "full", "part"]
     assert [w[:65] for w in words] == ["later begins under load at 3.66 V a cell and is left out: a part "]
 
 
 def test_a_voltmeter_that_reads_more_than_a_full_cell_is_left_out_and_named() -> None:
     """With 0.3 V more on one pack of four cells, the curve of all ended at 4.26 V."""
-    kept, words = sorted_out([RESTED, FULLER, FULL, PART_CHARGED])
+    kept, words = alike_when_full([RESTED, FULLER, FULL, PART_CHARGED])
     assert [r.name for r in kept] == ["rested", "full", "part"]
     assert "fuller begins at rest at 4.27 V a cell" in words[0] and "another voltmeter" in words[0]
 
 
 def test_where_most_logs_begin_so_all_are_kept() -> None:
-    assert sorted_out([RESTED, LATER, LATER]) == ([RESTED, LATER, LATER], [])
-    assert sorted_out([RESTED, FULLER, FULLER]) == ([RESTED, FULLER, FULLER], [])
-    assert sorted_out([]) == ([], [])
+    assert from_take_off([RESTED, LATER, LATER]) == ([RESTED, LATER, LATER], [])
+    assert alike_when_full([RESTED, FULLER, FULLER]) == ([RESTED, FULLER, FULLER], [])
+    assert from_take_off([]) == ([], [])
 
 
 def fitted(flights: list[Flight]) -> FittedBattery:

@@ -16,6 +16,7 @@ from uavbatt.cli.diagnose_records import (
     one_size,
     reason_written,
     tested_size,
+    with_known_start,
 )
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
@@ -153,10 +154,10 @@ def _run(
 
     content, stated = options.battery, options.pack
     tests = data.load(gate) if gate is not None else None
-    sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}
+    sizes = [flown_size(f, content, stated) for f in flights] + [tested_size(d, content, stated) for d in datasets]
     series, capacity_Ah, cutoff_V = one_size(sizes)
     records: list[ObservedRecord] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
-    records += [observed_of(f, series, capacity_Ah) for f in flights]
+    records += with_known_start([observed_of(f, series, capacity_Ah) for f in flights])
     size = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
     base = base_pack(options.ledger, options.pack_name, flights, content, pack_from(content, size))
     with ProgressLine() as tell:

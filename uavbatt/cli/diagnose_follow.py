@@ -15,6 +15,7 @@ from uavbatt.cli.diagnose_records import (
     observed_of,
     one_size,
     reason_written,
+    with_known_start,
 )
 from uavbatt.cli.options import ResultFiles, remark
 from uavbatt.cli.pack_memory import open_memory, unknown_pack
@@ -96,8 +97,8 @@ def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, wi
 
     if not flights:
         raise NotEnoughData("no flight to follow")
-    series, capacity_Ah, cutoff_V = one_size({flown_size(f, content, stated) for f in flights})
-    records = [observed_of(f, series, capacity_Ah) for f in flights]
+    series, capacity_Ah, cutoff_V = one_size([flown_size(f, content, stated) for f in flights])
+    records = with_known_start([observed_of(f, series, capacity_Ah) for f in flights])
     pack = pack_from(content, PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V))
     with ProgressLine() as tell:
         return follow(records, content, pack, without, tell, engine_for(is_long=True))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uavbatt.cli.options import remark
 from uavbatt.errors import NotEnoughData, UsageError, terminal_line
 from uavbatt.limits import FirstVoltages
 from uavbatt.records import Flight, PackFacts
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from uavbatt.fitting.observed import ObservedRecord
 
 Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
+SAME_CAPACITY = 0.02  # of two statements about one pack
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +53,26 @@ def reason_written(files: ResultFiles) -> Iterator[None]:
         raise
 
 
-def one_size(sizes: set[Size]) -> Size:
-    """Return the size that all records share. Raises NotEnoughData if they are of different packs."""
-    if len(sizes) > 1:
-        listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
+def one_size(sizes: list[Size]) -> Size:
+    """Return the size that most records state. Raises NotEnoughData if they are of different packs.
+
+    A log in which the vehicle did not state its pack has the battery file's capacity and cut-off, nearly the same.
+    """
+    capacities_Ah = [capacity_Ah for _, capacity_Ah, _ in sizes]
+    if len({cells for cells, *_ in sizes}) > 1 or max(capacities_Ah) > (1.0 + SAME_CAPACITY) * min(capacities_Ah):
+        listed = ", ".join(f"{n}S {q:g} Ah" for n, q in sorted({(n, q) for n, q, _ in sizes}))
         raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
-    return next(iter(sizes))
+    return Counter(sizes).most_common(1)[0][0]
+
+
+def with_known_start(records: list[ObservedRecord]) -> list[ObservedRecord]:
+    """Return the records without the few that begin in the air, and warn of these: their start is not known."""
+    from uavbatt.fitting.whole_flights import from_take_off
+
+    kept, left_out = from_take_off(records)
+    for words in left_out:
+        remark(f"warning: {words}")
+    return kept
 
 
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecord:

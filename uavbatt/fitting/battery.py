@@ -83,10 +83,11 @@ def fit_battery(size: RecordedPack, datasets: list[DataSet], flights: list[Fligh
     read, unread = whole_flights.read(flights, size.cells, size.capacity_Ah)
     if not bench and not read:
         raise NotEnoughData(next(iter(unread), "nothing to fit: expected bench tests or flights with a current"))
-    flown, odd = whole_flights.sorted_out(read)
+    whole, later = whole_flights.from_take_off(read)
+    flown, fuller = whole_flights.alike_when_full(whole)
     records = FittedRecords(observed.stack(bench + flown), len(bench), len(flown))
     fit = _solve(records)
-    doubtful = (*(f"{words}: left out" for words in unread), *odd, *_doubtful(fit))
+    doubtful = (*(f"{words}: left out" for words in unread), *later, *fuller, *_doubtful(fit))
     unknown = _unknown_words(fit, records)
     known = (*_known_words(fit), *(_pack_words(fit) if records.has_spread else ()))
     return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)

@@ -34,31 +34,38 @@ def read(flights: Sequence[Flight], cells: int, capacity_Ah: float) -> tuple[lis
     return found, words
 
 
-def sorted_out(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
-    """Return the flights that are kept, and for each other one in words why it is left out.
+def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
+    """Return the flights that begin at rest or nearly full, and for each other one in words why it is left out.
 
     What half of the flights have in common is no fault of one: then all are kept.
     """
     if not flown:
         return [], []
     stack = observed.stack(flown)
-    first_V = stack.voltage_V[0] / stack.cells
-    is_later = np.logical_not(np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC))
-    is_fuller = np.logical_and(stack.rested, first_V > ORDINARY_FULL_V)
-    kept, words = [], []
-    for record, later, fuller in zip(flown, _few(is_later), _few(is_fuller), strict=True):
-        if later:
-            words.append(_said(record, "under load", "a part of a flight, or a pack that was not full"))
-        elif fuller:
-            words.append(_said(record, "at rest", "another voltmeter or type of cell than in the other flights"))
-        else:
-            kept.append(record)
-    return kept, words
+    is_known = np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC)
+    return _without(flown, ~is_known, "under load", "a part of a flight, or a pack that was not full")
 
 
-def _few(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the marks, or none at all where at least half of the flights are marked."""
-    return marks if 2 * int(np.sum(marks)) < marks.size else np.zeros_like(marks)
+def alike_when_full(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
+    """Return the flights that begin no fuller than ordinary cells, and for each other one why it is left out.
+
+    What half of the flights have in common is no fault of one: then all are kept.
+    """
+    if not flown:
+        return [], []
+    stack = observed.stack(flown)
+    is_fuller = np.logical_and(stack.rested, stack.voltage_V[0] / stack.cells > ORDINARY_FULL_V)
+    return _without(flown, is_fuller, "at rest", "another voltmeter or type of cell than in the other flights")
+
+
+def _without(
+    flown: list[ObservedRecord], marks: NDArray[np.bool_], how: str, why: str
+) -> tuple[list[ObservedRecord], list[str]]:
+    """Return the flights without those that are marked, if these are less than half, and the words about each."""
+    if 2 * int(np.sum(marks)) >= len(flown):
+        return flown, []
+    kept = [record for record, is_out in zip(flown, marks, strict=True) if not is_out]
+    return kept, [_said(record, how, why) for record, is_out in zip(flown, marks, strict=True) if is_out]
 
 
 def _said(record: ObservedRecord, how: str, why: str) -> str:
