@@ -144,6 +144,9 @@ FAULTS: dict[str, Callable[[], Fault]] = {
     "velocity of 90 m/s": lambda: changed("GLOBAL_POSITION_INT", vx=lambda _: 9000.0),
     "velocity 15 m/s too much": lambda: changed("GLOBAL_POSITION_INT", vx=lambda v: v + 1500.0),
     "velocity with noise of 0.3 m/s, always": noisy_velocity,
+    "vertical velocity with the wrong sign, always": lambda: changed(
+        "GLOBAL_POSITION_INT", always=True, vz=lambda v: -v
+    ),
     "wind of 80 m/s": lambda: changed("WIND", speed=lambda _: 80.0),
     "wind 1.7 times the true one, always": lambda: changed("WIND", always=True, speed=lambda v: 1.7 * v),
     "wind wanders by 1.5 m/s, always": wandering_wind,

@@ -84,6 +84,22 @@ def test_a_hover_of_an_autopilot_that_tells_velocities_is_a_hover() -> None:
     assert take(builder, 0.5, 1.0, told=(0.0, 0.0, 0.0)).east_ms == 0.0
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_vertical_velocity_of_the_wrong_sign_is_turned_by_the_heights(sign: float) -> None:
+    """ArduPilot sent it so until 2018: climbs were taken for descents, and the turn-back was wrong by 50 s."""
+    builder, climbs_ms = NavigationBuilder(), [2.5] * 20 + [0.0] * 20 + [-1.5] * 20
+    height_m, up_ms = 0.0, []
+    for half, climb_ms in enumerate(climbs_ms):
+        height_m += 0.5 * climb_ms
+        up_ms.append(take(builder, 0.5 * half, 4.0 * half, height_m, (0.0, 8.0, sign * climb_ms)).up_ms)
+    assert up_ms[8:] == pytest.approx(climbs_ms[8:])
+
+
+def test_a_height_that_is_never_told_turns_no_velocity() -> None:
+    builder = NavigationBuilder()
+    assert [take(builder, k, 8.0 * k, 0.0, (0.0, 8.0, 2.5)).up_ms for k in range(20)] == [2.5] * 20
+
+
 def test_places_far_apart_in_time_tell_no_velocity() -> None:
     builder = NavigationBuilder()
     take(builder, 0.0, 0.0, told=(NAN, NAN, NAN))

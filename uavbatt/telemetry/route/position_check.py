@@ -11,6 +11,9 @@ FASTEST_MS = 60.0  # no battery flies an aircraft faster for long
 STEP_M = 50.0  # an estimator that corrects itself moves the place so far at once
 LEAP_HOLDS_S = 5.0  # a leap that lasts so long is a correction, no fault: the old place was wrong
 LONGEST_STEP_S = 2.0  # over which two positions give the velocity
+# ArduPilot sent the vertical velocity with the wrong sign until 2018 (pull request 7672), others may still: the height
+# has then moved REVERSED_M more against it than with it. Slower than LEAST_VERTICAL_MS it tells nothing.
+LEAST_VERTICAL_MS, REVERSED_M, MOST_AGREED_M = 0.5, 5.0, 20.0
 
 
 class PositionCheck:
@@ -21,6 +24,7 @@ class PositionCheck:
         self._elsewhere: Position | None = None  # the newest position of a leap that is not believed
         self._elsewhere_since_s = NAN
         self._tells_velocity = False
+        self._agreed_m = 0.0  # how far the height has moved as the vertical velocity says, less against it
 
     def believed(self, place: Position) -> Position | None:
         """Return the position, with its velocity also where the log tells none; None if it is not believed yet."""
@@ -46,7 +50,8 @@ class PositionCheck:
         told_ms = _speed_ms(place)
         self._tells_velocity |= told_ms > 0.0
         if told_ms <= FASTEST_MS and self._tells_velocity:
-            return place
+            self._compare_heights(place, before)
+            return replace(place, up_ms=-place.up_ms) if self._agreed_m < -REVERSED_M else place
         if before is not None and 0.0 < (step_s := place.time_s - before.time_s) <= LONGEST_STEP_S:
             north_m, east_m = offset_m(before, place.lat_deg, place.lon_deg)
             up_ms = (place.height_m - before.height_m) / step_s
@@ -54,6 +59,14 @@ class PositionCheck:
             if _speed_ms(moved) <= FASTEST_MS:
                 return moved
         return place if told_ms == 0.0 else replace(place, north_ms=NAN, east_ms=NAN, up_ms=NAN)
+
+    def _compare_heights(self, place: Position, before: Position | None) -> None:
+        """Note if the height moves as the told vertical velocity says."""
+        if before is None or not 0.0 < place.time_s - before.time_s <= LONGEST_STEP_S:
+            return
+        if abs(place.up_ms) >= LEAST_VERTICAL_MS:
+            moved_m = math.copysign(1.0, place.up_ms) * (place.height_m - before.height_m)
+            self._agreed_m = min(max(self._agreed_m + moved_m, -MOST_AGREED_M), MOST_AGREED_M)
 
 
 def _is_leap(before: Position, now: Position) -> bool:
