@@ -122,10 +122,11 @@ def _not_the_rated_capacity(dataset: DataSet) -> Iterator[Finding]:
     if GIVEN_SHARE[0] <= share <= GIVEN_SHARE[1]:
         return
     title = f"Whole discharges give {share:.0%} of the rated capacity"
-    cause = "worn packs, or an ammeter that reads low" if share < 1.0 else "an ammeter that reads high"
+    cause = "worn packs, an ammeter that reads low" if share < 1.0 else "an ammeter that reads high"
     detail = (
         f"Half of {len(given_Ah)} runs give {usual_Ah:.3g} Ah or more down to {dataset.cutoff_V:g} V, "
-        f"{dataset.capacity_Ah:g} Ah are stated: {cause}, or another capacity. A battery file takes the measured one."
+        f"{dataset.capacity_Ah:g} Ah are stated: {cause}, or another capacity? "
+        "State the capacity that such a pack holds when it is new."
     )
     yield Finding("other_capacity", title, detail, "warning", {"given_Ah": usual_Ah, "rated_Ah": dataset.capacity_Ah})
 
