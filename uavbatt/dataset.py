@@ -103,6 +103,11 @@ class DataSet:
         return tuple(r for r in self.runs if abs(r.ambient_C - ambient_C) <= tolerance_C)
 
     @property
+    def is_metered(self) -> bool:
+        """Return True if the current of most runs was measured: a model is fitted to these, and predicts these."""
+        return 2 * sum(run.is_metered for run in self.runs) > len(self.runs)
+
+    @property
     def ambients_C(self) -> tuple[float, ...]:
         """Return every ambient temperature of the set, ascending [°C]."""
         return tuple(sorted({r.ambient_C for r in self.runs}))

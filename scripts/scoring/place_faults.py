@@ -6,12 +6,13 @@ A fault changes messages of the autopilot, for three seconds in each minute or f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -67,22 +68,36 @@ def rarer(message_type: str, every_s: float) -> Fault:
     return fault
 
 
-def wandering() -> Fault:
-    """Return a fault in which the place wanders by WANDER_M around the true one, over WANDER_S."""
-    rng, keep = np.random.default_rng(1), math.exp(-0.5 / WANDER_S)
-    off_m = np.zeros(3)
+def each(message_type: str, change: Callable[[Any], None]) -> Fault:
+    """Return a fault that changes every message of one type."""
 
     def fault(message: Any, _: float) -> bool:
-        nonlocal off_m
-        if message.get_type() == "GLOBAL_POSITION_INT":
-            off_m = off_m * keep + rng.normal(0.0, WANDER_M * math.sqrt(1.0 - keep**2), 3)
-            north, east, up = off_m
-            message.lat += round(1e7 * north / METRES_PER_DEGREE)
-            message.lon += round(1e7 * east / METRES_PER_DEGREE / math.cos(math.radians(message.lat / 1e7)))
-            message.relative_alt += round(1e3 * up)
+        if message.get_type() == message_type:
+            change(message)
         return True
 
     return fault
+
+
+def wander(seed: int, axes: int, sd: float, keep: float) -> Iterator[NDArray[np.float64]]:
+    """Yield values [axes] that wander around zero with this sd; each keeps a share of the one before."""
+    rng, off = np.random.default_rng(seed), np.zeros(axes)
+    while True:
+        off = off * keep + rng.normal(0.0, sd * math.sqrt(1.0 - keep**2), axes)
+        yield off
+
+
+def wandering() -> Fault:
+    """Return a fault in which the place wanders by WANDER_M around the true one, over WANDER_S."""
+    off_m = wander(1, 3, WANDER_M, math.exp(-0.5 / WANDER_S))
+
+    def change(message: Any) -> None:
+        north, east, up = next(off_m)
+        message.lat += round(1e7 * north / METRES_PER_DEGREE)
+        message.lon += round(1e7 * east / METRES_PER_DEGREE / math.cos(math.radians(message.lat / 1e7)))
+        message.relative_alt += round(1e3 * up)
+
+    return each("GLOBAL_POSITION_INT", change)
 
 
 def drifting(message: Any, time_s: float) -> bool:
@@ -94,33 +109,26 @@ def drifting(message: Any, time_s: float) -> bool:
 
 def noisy_velocity() -> Fault:
     """Return a fault in which each velocity has noise of VELOCITY_NOISE_MS in each axis."""
-    rng = np.random.default_rng(2)
+    off_ms = wander(2, 3, VELOCITY_NOISE_MS, keep=0.0)
 
-    def fault(message: Any, _: float) -> bool:
-        if message.get_type() == "GLOBAL_POSITION_INT":
-            for name, off_ms in zip(("vx", "vy", "vz"), rng.normal(0.0, VELOCITY_NOISE_MS, 3), strict=True):
-                setattr(message, name, getattr(message, name) + round(100.0 * off_ms))
-        return True
+    def change(message: Any) -> None:
+        for name, off in zip(("vx", "vy", "vz"), next(off_ms), strict=True):
+            setattr(message, name, getattr(message, name) + round(100.0 * off))
 
-    return fault
+    return each("GLOBAL_POSITION_INT", change)
 
 
 def wandering_wind() -> Fault:
-    """Return a fault in which the wind wanders by WIND_WANDER_MS in each axis around the told one."""
-    rng, keep = np.random.default_rng(3), math.exp(-1.0 / WIND_WANDER_S)
-    off_ms = np.zeros(2)
+    """Return a fault in which the wind wanders by WIND_WANDER_MS in each axis, over WIND_WANDER_S."""
+    off_ms = wander(3, 2, WIND_WANDER_MS, math.exp(-1.0 / WIND_WANDER_S))
 
-    def fault(message: Any, _: float) -> bool:
-        nonlocal off_ms
-        if message.get_type() == "WIND":
-            off_ms = off_ms * keep + rng.normal(0.0, WIND_WANDER_MS * math.sqrt(1.0 - keep**2), 2)
-            from_rad = math.radians(message.direction)
-            north_ms, east_ms = message.speed * np.array([math.cos(from_rad), math.sin(from_rad)]) + off_ms
-            message.speed = math.hypot(north_ms, east_ms)
-            message.direction = math.degrees(math.atan2(east_ms, north_ms))
-        return True
+    def change(message: Any) -> None:
+        from_rad = math.radians(message.direction)
+        north_ms, east_ms = message.speed * np.array([math.cos(from_rad), math.sin(from_rad)]) + next(off_ms)
+        message.speed = math.hypot(north_ms, east_ms)
+        message.direction = math.degrees(math.atan2(east_ms, north_ms))
 
-    return fault
+    return each("WIND", change)
 
 
 def _without_velocity(message: Any, _: float) -> bool:

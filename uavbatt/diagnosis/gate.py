@@ -19,7 +19,7 @@ from uavbatt.battery.openloop import simulate
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import observed
-from uavbatt.validation.gating.heldout import HeldOut, is_metered
+from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.validate import model_claims, validate
 
 AGEING = frozenset({"capacity_fade", "resistance_growth", "weak_cell"})
@@ -33,7 +33,7 @@ def verdicts(tests: DataSet, file: BatteryFile) -> list[Verdict]:
     ambient_C, shipped = result.ambient_C, result.battery
     claims = [c for c in result.claims if c.gates]
     if shipped is not None and not _same_cells(shipped, file):
-        if not is_metered(tests):
+        if not tests.is_metered:
             return [_missing(ambient_C, "the tests have no measured current to try other cells than theirs on")]
         moved = _moved(result.held, *_difference(tests, ambient_C, shipped, file))
         again = {

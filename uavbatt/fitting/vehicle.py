@@ -63,13 +63,12 @@ def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options:
 
 def other_powers(flights: list[Flight]) -> Iterator[OtherPower]:
     """Yield the flights of another aircraft, or with another current sensor: their power is far from the others'."""
-    powers_W = {flight.source: _flying_W(flight) for flight in flights}
-    known_W = [watts for watts in powers_W.values() if math.isfinite(watts)]
-    if len(known_W) < LEAST_FLIGHTS:
+    known = [(flight.source, watts) for flight in flights if math.isfinite(watts := _flying_W(flight))]
+    if len(known) < LEAST_FLIGHTS:
         return
-    usual_W = float(np.median(known_W))
-    for source, watts in powers_W.items():
-        if not usual_W / OTHER_FACTOR <= watts <= usual_W * OTHER_FACTOR and math.isfinite(watts):
+    usual_W = float(np.median([watts for _, watts in known]))
+    for source, watts in known:
+        if not usual_W / OTHER_FACTOR <= watts <= usual_W * OTHER_FACTOR:
             yield OtherPower(source, watts, usual_W)
 
 

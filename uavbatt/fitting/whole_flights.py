@@ -27,9 +27,9 @@ def read(flights: Sequence[Flight], cells: int, capacity_Ah: float) -> tuple[lis
     for flight in flights:
         try:
             record = observed.from_flight(flight, cells, capacity_Ah)
-            observed.binned(record)
+            observed.binned(record)  # too few bins are refused here; the start is read from the rows themselves
             found.append(record)
-        except NotEnoughData as error:  # also of too few bins
+        except NotEnoughData as error:
             words.append(str(error))
     return found, words
 

@@ -59,9 +59,10 @@ def evidence_of_flight(
     said = with_rest(_under_load(pack, loaded, ohms_per_V), loaded[-1], last)
     log_ohm, log_Ah, covariance = health_of(pack, said)[:3]
     away_sd = COLD_SD_PER_K * abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNMEASURED_SD
+    later_sd = BEGUN_LATER_SD if is_begun_later else np.zeros(2)
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)
-    scatter += np.diag(LEAST_SD**2 + away_sd**2 + is_begun_later * BEGUN_LATER_SD**2)
+    scatter += np.diag(LEAST_SD**2 + away_sd**2 + later_sd**2)
     scatter *= GENERIC_FACTOR**2 if is_generic else 1.0
     return FlightEvidence(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
 

@@ -63,8 +63,8 @@ def sudden(
     z [2] : distance of ln ohm and ln Ah from their expected values [sd]; change [2] : the same in ln; causes : that
     are asked about. The cold is one more where no thermometer was read.
     """
-    every = causes if has_thermometer else (*causes, "cold")
-    asked = ", or ".join(filter(None, (", ".join(every[:-1]), every[-1]))) + "?"
+    *first, last = causes if has_thermometer else (*causes, "cold")
+    asked = f"{', '.join(first)}, or {last}?" if first else f"{last}?"
     asked += "" if has_thermometer else " No temperature was measured"
     if z[0] >= -z[1]:
         return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more resistance{since}: {asked}")

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.log_statements import size_from_rows
@@ -150,8 +151,7 @@ def _last_loaded(rows: Sequence[Sample]) -> int | None:
     """Return the index of the last row under load; None without LEAST_LOADED_S of load."""
     if len(rows) < 2:
         return None
-    current_A = np.array([row.current_A for row in rows])
-    is_loaded = current_A > loaded_A(current_A)
+    is_loaded = _is_loaded(rows)
     time_s = np.array([row.time_s for row in rows])
     steps_s = np.minimum(np.diff(time_s, append=time_s[-1]), LONGEST_STEP_S)
     if float(steps_s[is_loaded].sum()) < LEAST_LOADED_S:
@@ -161,8 +161,13 @@ def _last_loaded(rows: Sequence[Sample]) -> int | None:
 
 def _is_begun_later(rows: Sequence[Sample], soc: float) -> bool:
     """Return True if the first row is under load, and its charge is not that of a full pack."""
+    return bool(_is_loaded(rows)[0]) and soc < BEGUN_SOC
+
+
+def _is_loaded(rows: Sequence[Sample]) -> NDArray[np.bool_]:
+    """Return which rows are under load."""
     current_A = np.array([row.current_A for row in rows])
-    return bool(current_A[0] > loaded_A(current_A)) and soc < BEGUN_SOC
+    return np.asarray(current_A > loaded_A(current_A))
 
 
 def _mean_temp_C(rows: Sequence[Sample]) -> float:

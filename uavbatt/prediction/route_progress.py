@@ -61,7 +61,7 @@ class Progress(NamedTuple):
     ) -> Progress:
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
-        moved = self._on_path(time_s, navigation)._moved(navigation)
+        moved = self._on_path(time_s, navigation)._with_position(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
         if navigation.mode is Mode.MISSION:
             moved = moved._followed(time_s, navigation, row_s)._with_speed_seen(navigation)
@@ -76,13 +76,13 @@ class Progress(NamedTuple):
         columns = terms(*flown, powers.induced_ms)
         return moved._replace(lessons=moved.lessons.with_power(powers, flown.airspeed_ms, columns, power_W, told_s))
 
-    def _moved(self, navigation: Navigation) -> Progress:
-        """Return the progress with a new position."""
+    def _with_position(self, navigation: Navigation) -> Progress:
+        """Return the progress with a new position, which the track takes in as often as positions are compared."""
         steadiness, home = self.steadiness.after(navigation.position), navigation.home
-        if steadiness.moved is self.steadiness.moved or steadiness.moved is None or home is None:
+        now = steadiness.compared
+        if now is self.steadiness.compared or now is None or home is None:
             return self._replace(steadiness=steadiness)
-        moved = steadiness.moved
-        track = self.track.after(moved.time_s, place(home, moved), home, navigation.mode is Mode.RETURN_BY_TRACK)
+        track = self.track.after(now.time_s, place(home, now), home, navigation.mode is Mode.RETURN_BY_TRACK)
         return self._replace(steadiness=steadiness, track=track)
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:

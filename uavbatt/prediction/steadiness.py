@@ -1,4 +1,4 @@
-"""Whether the aircraft keeps its velocity, so that its power is that of steady flight and not that of a turn."""
+"""Steady flight: the rows in which the aircraft keeps its velocity, so that its power is not that of a turn."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ AGREEING_MS = 4.0  # between the velocity told and that of two positions
 class Steadiness(NamedTuple):
     """Steadiness compares each position with one COMPARED_S before; usual_ms is the median of the changes so far."""
 
-    moved: Position | None = None
+    compared: Position | None = None  # with which the next positions are compared
     usual_ms: float = 0.0
     is_steady: bool = True
 
     def after(self, now: Position | None) -> Steadiness:
         """Return the value after one more position, None while none is known."""
-        before = self.moved
+        before = self.compared
         if before is None or now is None:
             return Steadiness(now, self.usual_ms, now is None)
         since_s = now.time_s - before.time_s
@@ -33,9 +33,9 @@ class Steadiness(NamedTuple):
         is_steady = is_kept and _velocity_agrees(before, now, since_s)
         if 0.0 <= since_s < COMPARED_S:
             return self._replace(is_steady=is_steady)
-        if math.isnan(change_ms):
-            return Steadiness(now, self.usual_ms, is_steady)
-        usual_ms = max(self.usual_ms + math.copysign(USUAL_STEP_MS, change_ms - self.usual_ms), 0.0)
+        usual_ms = self.usual_ms
+        if math.isfinite(change_ms):
+            usual_ms = max(usual_ms + math.copysign(USUAL_STEP_MS, change_ms - usual_ms), 0.0)
         return Steadiness(now, usual_ms, is_steady)
 
 

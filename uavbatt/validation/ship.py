@@ -24,7 +24,7 @@ from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
 from uavbatt.fitting.wander import USUAL_TIME_S
 from uavbatt.validation.gating.gate import Claim, Limits, judged_instants
-from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
+from uavbatt.validation.gating.heldout import HeldOut, mean_test
 from uavbatt.validation.judging.corridor import Corridor
 
 UNMEASURED_RMSE_K = 2.0  # assumed of a model whose temperature nobody has measured
@@ -52,7 +52,7 @@ def battery_file(
     `claims`, judged by `limits`, go into the certificate, with `statistics` (names with their units) and the
     `corridor` of the voltage.
     """
-    fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held_out.ambient_C)
+    fitted = _metered(dataset) if dataset.is_metered else _unmetered(dataset, held_out.ambient_C)
     cells = dataset.cells_series
     kind = prior.LITHIUM_ION if ends_as_lithium_ion(cells, dataset.cutoff_V) else prior.LIPO
     return BatteryFile(

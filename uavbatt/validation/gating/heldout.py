@@ -118,11 +118,6 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
     )
 
 
-def is_metered(dataset: DataSet) -> bool:
-    """Return True if the current of most runs was measured: the model is fitted to these, and predicts these."""
-    return bool(np.mean([run.is_metered for run in dataset.runs]) > 0.5)
-
-
 def repeats(readings: Readings) -> Levels:
     """Return the repeated runs at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
     levels = readings.levels(readings.ambient_C)
@@ -152,7 +147,7 @@ def circuit(
     dataset, levels = readings.dataset, repeats(readings)
     others = other_runs(dataset, levels)
     left_out = [(occasion, others[k :: len(levels.occasions)]) for k, occasion in enumerate(levels.occasions)]
-    predict = _metered if is_metered(dataset) else _unmetered
+    predict = _metered if dataset.is_metered else _unmetered
     folds = []
     for fold in predict(dataset, levels, left_out, effects):
         folds.append(fold)

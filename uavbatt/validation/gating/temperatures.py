@@ -56,7 +56,7 @@ class TemperatureLoop:
 
 def fits(readings: Readings) -> float:
     """Return how much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
-    tests = None if heldout.is_metered(readings.dataset) else one_time_tests(readings)[0]
+    tests = None if readings.dataset.is_metered else one_time_tests(readings)[0]
     if tests is None:
         return 0.0
     variants = [*_variants("cold", _cold(tests)), *_variants("all", tests)]
@@ -72,7 +72,7 @@ def close_loop(
     with the fits just done, which add up to `fits(readings)`.
     """
     dataset = readings.dataset
-    if heldout.is_metered(dataset):
+    if dataset.is_metered:
         return None
     tests, left_out = one_time_tests(readings)
     if tests is None:

@@ -14,6 +14,7 @@ import numpy as np
 from uavbatt.dataset import DataSet
 from uavbatt.dataset_checks import charge_Ah
 from uavbatt.dataset_csv import Array, Run
+from uavbatt.fitting.observed import MAD_TO_SD
 from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.judging.readings import Readings
 
@@ -24,7 +25,7 @@ USUAL_SHARE = 0.5  # of equal readings, where there are no other repeats to tell
 FEWEST_REPEATS = 3
 SHORT_SHARE = 0.7  # of the median duration: worn packs of one type differ by less
 OTHER_LOAD, LEAST_OTHER_LOAD = 0.1, 0.04  # of the median current; the smaller one where the repeats tell their scatter
-SCATTERED, MAD_TO_SD, TELLING_REPEATS = 6.0, 1.4826, 6  # robust sds, and so many repeats tell them
+SCATTERED, TELLING_REPEATS = 6.0, 6  # robust sds, and so many repeats tell them
 # Discharges at room temperature down to the cut-off give so much of the rated capacity: at 10 C and more, of a used
 # pack, three quarters; a new one holds a little more than is printed on it.
 ROOM_C, GIVEN_SHARE = 15.0, (0.7, 1.15)
@@ -38,7 +39,7 @@ def not_the_same_test(readings: Readings, ambient_C: float) -> Iterator[Finding]
     runs = readings.dataset.runs
     yield from _copies(runs)
     yield from _far_from_air(runs)
-    yield from _unmetered(runs)
+    yield from _unmetered(readings.dataset)
     yield from _not_the_rated_capacity(readings.dataset)
     repeats = readings.dataset.at(ambient_C)
     if len(repeats) >= FEWEST_REPEATS:
@@ -98,16 +99,17 @@ def _far_from_air(runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding("surface_far_from_ambient", title, f"{named} ({cause}).", "warning", {"off_K": most_K})
 
 
-def _unmetered(runs: Sequence[Run]) -> Iterator[Finding]:
+def _unmetered(dataset: DataSet) -> Iterator[Finding]:
     """Find runs without a current among others with one."""
-    without = [run for run in runs if not run.is_metered]
-    if without and len(without) < len(runs):
-        most_of = "most of them" if 2 * len(without) >= len(runs) else _list([_name(run) for run in without])
+    without = [run for run in dataset.runs if not run.is_metered]
+    if without and len(without) < len(dataset.runs):
         verb = "were" if len(without) > 1 else "was"
-        title = f"The current of {len(without)} of {len(runs)} runs {verb} not measured"
-        is_used = 2 * len(without) < len(runs)
-        means = "the model is fitted to the others and predicts these" if is_used else "the model is fitted to none"
-        detail = f"{most_of}: {means}. Leave no current empty, or fill in that of the load."
+        title = f"The current of {len(without)} of {len(dataset.runs)} runs {verb} not measured"
+        which, means = "most of them", "the model is fitted to none"
+        if dataset.is_metered:
+            which = _list([_name(run) for run in without])
+            means = "the model is fitted to the others and predicts these"
+        detail = f"{which}: {means}. Leave no current empty, or fill in that of the load."
         yield Finding("unmetered_run", title, detail, "warning", {"runs": len(without)})
 
 
