@@ -24,7 +24,8 @@ from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
-from uavbatt.telemetry.link.vehicle import LiveRow, Vehicle
+from uavbatt.telemetry.link.live_row import LiveRow
+from uavbatt.telemetry.link.vehicle import Vehicle
 
 CURRENT_A, VOLTAGE_V = 12.0, 16.0
 A_TURN = 50

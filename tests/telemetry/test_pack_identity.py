@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -19,20 +20,27 @@ def smart_battery_info(serial: bytes, cycles: int = 65535, number: int = 0) -> b
     return (head + serial.ljust(16, b"\0") + b"maker".ljust(50, b"\0")).rstrip(b"\0")
 
 
-def battery_info(serial: bytes, cycles: int, number: int = 0) -> bytes:
-    head = struct.pack("<10f2H5B", *[0.0] * 10, cycles, 0, number, 0, 0, 255, 0)
+def battery_info(serial: bytes, cycles: int, number: int = 0, capacity_Ah: float = 0.0, cells: int = 0) -> bytes:
+    head = struct.pack("<10f2H5B", *[0.0] * 8, capacity_Ah, 0.0, cycles, 0, number, 0, 0, 255, cells)
     return (head + b"\0" * 9 + serial.ljust(32, b"\0")).rstrip(b"\0")
 
 
 def test_a_smart_battery_says_who_it_is():
     said = fields.pack_identity(fields.SMART_BATTERY_INFO, smart_battery_info(b"UAVB0123456789AB", 41, 2))
-    assert said == fields.PackIdentity(2, "UAVB0123456789AB", 41)
+    assert said == fields.PackIdentity(2, "UAVB0123456789AB", 41, None, 5.0)
 
 
 def test_battery_info_is_read_although_no_dialect_holds_it():
     assert len(battery_info(b"", 7)) <= fields.IDENTITY_LENGTH[fields.BATTERY_INFO]
     said = fields.pack_identity(fields.BATTERY_INFO, battery_info(b"SN-7", 7, 1))
     assert said == fields.PackIdentity(1, "SN-7", 7)
+    said = fields.pack_identity(fields.BATTERY_INFO, battery_info(b"", 0, 0, 16.0, 12))
+    assert said == fields.PackIdentity(0, "", None, 12, 16.0)
+
+
+@pytest.mark.parametrize("capacity_Ah", [math.nan, math.inf, -1.0])
+def test_a_capacity_that_is_no_number_is_not_stated(capacity_Ah):
+    assert math.isnan(fields.pack_identity(fields.BATTERY_INFO, battery_info(b"", 0, 0, capacity_Ah)).capacity_Ah)
 
 
 @pytest.mark.parametrize("none", [b"", b"0", b"-1", b"65535", b"  ", b"\x01\x02"])

@@ -11,8 +11,9 @@ from scoring.scenarios import STATED
 
 from uavbatt.battery import battery_file
 from uavbatt.estimator import Estimator
+from uavbatt.mavlink.fields import PackIdentity
 from uavbatt.records import Estimate, PackFacts, Remaining, Sample
-from uavbatt.telemetry.parameters import facts_timeline
+from uavbatt.telemetry.parameters import capacity_notes, facts_timeline, statements_of
 
 PARTS = {"BATT_MONITOR": 4.0, "BATT_CAPACITY": 5000.0, "BATT2_MONITOR": 4.0, "BATT2_CAPACITY": 6000.0}
 
@@ -34,6 +35,35 @@ def test_a_sum_of_monitors_holds_what_its_parts_hold(more: dict[str, float], cap
     said = ((0.0, name, value) for name, value in (PARTS | more).items())
     facts = facts_timeline(said, 2, is_telemetry=True)
     assert (facts[-1][1].capacity_Ah if facts else math.nan) == pytest.approx(capacity_Ah, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "capacity_Ah", "notes"),
+    [
+        ({}, 16.0, ()),
+        ({"BATT_CAPACITY": 3300.0}, 16.0, ()),  # the default of ArduPilot
+        ({"BATT_CAPACITY": 0.0}, 16.0, ()),
+        ({"BATT_CAPACITY": 15500.0}, 15.5, ()),
+        (
+            {"BATT_CAPACITY": 22000.0},
+            22.0,
+            ("BATT_CAPACITY is 22000 mAh, and counts; the battery itself states 16000",),
+        ),
+        ({"BAT1_CAPACITY": -1.0}, 16.0, ()),
+        (
+            {"BAT1_CAPACITY": 22000.0},
+            22.0,
+            ("BAT1_CAPACITY is 22000 mAh, and counts; the battery itself states 16000",),
+        ),
+    ],
+)
+def test_a_battery_that_states_its_size(vehicle: dict[str, float], capacity_Ah: float, notes: tuple[str, ...]) -> None:
+    said = {**vehicle, **dict(statements_of(PackIdentity(0, cells=12, capacity_Ah=16.0)))}
+    facts = facts_timeline(((0.0, name, value) for name, value in said.items()), 0, is_telemetry=True)[-1][1]
+    assert (facts.cells_series, facts.capacity_Ah) == (12, capacity_Ah)
+    found = capacity_notes(said, 0)
+    assert len(found) == len(notes)
+    assert all(note in words for note, words in zip(notes, found, strict=True))
 
 
 def test_the_temperature_of_motor_controllers_is_not_the_packs() -> None:

@@ -28,7 +28,8 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
-from uavbatt.telemetry.link.reader import LiveReader, LiveRow
+from uavbatt.telemetry.link.live_row import LiveRow
+from uavbatt.telemetry.link.reader import LiveReader
 from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES

@@ -34,7 +34,8 @@ from uavbatt.mavlink.pipe import wait
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Status
 from uavbatt.telemetry.formats.recording import PERIOD_NAME
-from uavbatt.telemetry.link.vehicle import LiveRow, Vehicle
+from uavbatt.telemetry.link.live_row import LiveRow
+from uavbatt.telemetry.link.vehicle import Vehicle
 
 LONGEST_WAIT_S = 0.1
 # A busy link wakes the loop 200 times a second at most; after a turn with FLOOD pieces or more there is no pause.

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.outgoing import Outgoing
-from uavbatt.telemetry.parameters import HeardOnce, ardupilot_prefix
+from uavbatt.telemetry.parameters import HeardOnce, ardupilot_prefix, is_of_pack
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
@@ -57,6 +57,8 @@ class Requests:
         """Return requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
         made = []
         for name, doubt in doubted.items():
+            if is_of_pack(name):  # the battery says it again by itself
+                continue
             was, times, next_s = self._again.get(name, (doubt.value, 0, now_s))
             if was != doubt.value:
                 times, next_s = 0, now_s

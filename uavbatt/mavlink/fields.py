@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 HEARTBEAT, SYS_STATUS, PARAM_VALUE, BATTERY_STATUS, BATTERY2 = 0, 1, 22, 147, 181
 AUTOPILOT_VERSION = 148
@@ -41,30 +41,55 @@ class BatteryFields:
 
 @dataclass(frozen=True, slots=True)
 class PackIdentity:
-    """PackIdentity identifies one pack by its serial, empty where it has none, and its own count of cycles."""
+    """PackIdentity holds what one pack states of itself: serial, its own count of cycles, cells and rated capacity.
+
+    What it does not state is empty, None or NaN.
+    """
 
     id: int
     serial: str = ""
     cycles: int | None = None
+    cells: int | None = None
+    capacity_Ah: float = math.nan
 
 
-# Offsets of (id, cycle count, serial's first and last byte) in the payloads, and the payloads' whole lengths.
-_IDENTITY_AT = {SMART_BATTERY_INFO: (18, 8, 21, 37), BATTERY_INFO: (44, 40, 58, 90)}
-IDENTITY_LENGTH = {SMART_BATTERY_INFO: 109, BATTERY_INFO: 140}
+class _Layout(NamedTuple):
+    """_Layout holds where a payload has id, cycles, cells, serial and rated capacity, and how many of it are 1 Ah."""
+
+    id: int
+    cycles: int
+    cells: int
+    serial: slice
+    capacity: struct.Struct
+    capacity_at: int
+    per_Ah: float
+
+
+_LAYOUTS = {
+    SMART_BATTERY_INFO: _Layout(18, 8, 89, slice(21, 37), struct.Struct("<i"), 0, 1000.0),
+    BATTERY_INFO: _Layout(44, 40, 48, slice(58, 90), struct.Struct("<f"), 32, 1.0),
+}
+IDENTITY_LENGTH = {SMART_BATTERY_INFO: 109, BATTERY_INFO: 140}  # whole payloads
 IDENTITY_EXTRA = {SMART_BATTERY_INFO: 75, BATTERY_INFO: 26}  # seeds of their checksums
 _NO_SERIALS = ("", "0", "-1", "65535")
 
 
 def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
-    """Return serial and cycles of a pack from a payload of SMART_BATTERY_INFO or BATTERY_INFO.
+    """Return what a pack states of itself in a payload of SMART_BATTERY_INFO or BATTERY_INFO.
 
-    BATTERY_INFO is a work in progress that no dialect holds.
+    Many releases of pymavlink do not hold BATTERY_INFO yet.
     """
-    at, cycles_at, first, last = _IDENTITY_AT[message_id]
+    at = _LAYOUTS[message_id]
     whole = payload.ljust(IDENTITY_LENGTH[message_id], b"\0")
-    cycles = int.from_bytes(whole[cycles_at : cycles_at + 2], "little")
-    text = whole[first:last].split(b"\0")[0].decode("latin-1")
-    return PackIdentity(whole[at], known_serial(text), None if cycles in (0, 65535) else cycles)
+    cycles = int.from_bytes(whole[at.cycles : at.cycles + 2], "little")
+    (capacity,) = at.capacity.unpack_from(whole, at.capacity_at)
+    return PackIdentity(
+        whole[at.id],
+        known_serial(whole[at.serial].split(b"\0")[0].decode("latin-1")),
+        None if cycles in (0, 65535) else cycles,
+        whole[at.cells] or None,
+        capacity / at.per_Ah if 0.0 < capacity < math.inf else math.nan,
+    )
 
 
 def known_serial(text: str) -> str:

@@ -3,6 +3,10 @@
 ArduPilot: BATT_ is instance 0, BATT2_ .. BATT9_ the next, then BATTA_ and so on. PX4: BAT1_ is
 instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used only without it.
 0 and -1 mean "not set" for all of them.
+
+A smart battery states its size itself (SMART_BATTERY_INFO, BATTERY_INFO, battery_status of PX4). That is kept like a
+parameter of the vehicle, under the names BATTERY0_CELLS and BATTERY0_MAH. It counts where no parameter states the size,
+or only ArduPilot's default.
 """
 
 from __future__ import annotations
@@ -11,13 +15,16 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from uavbatt.mavlink.fields import PackIdentity
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
 VOLTAGE_ONLY, ESCS, SUM_OF_OTHERS = 3.0, 9.0, 10.0  # values of BATT_MONITOR
 _MOST_MONITORS = 16
+_OTHER_CAPACITY = 0.1  # a parameter further from what the battery states is noted
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
+_OF_PACK = "BATTERY"
 BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
 
 
@@ -80,6 +87,28 @@ def ardupilot_prefix(instance: int) -> str:
     return f"BATT{instance + 1}_" if instance < 9 else f"BATT{chr(ord('A') + instance - 9)}_"
 
 
+def is_of_pack(name: str) -> bool:
+    """Return True if a statement is one of a battery about itself, and not a parameter of the vehicle."""
+    return name.startswith(_OF_PACK)
+
+
+def in_words(name: str) -> str:
+    """Return the name of a statement in words: a parameter's own, or what a battery says of itself."""
+    number, _, what = name.removeprefix(_OF_PACK).partition("_")
+    said = {"CELLS": "cells", "MAH": "capacity [mAh]"}
+    return f"what battery {number} says of its {said[what]}" if is_of_pack(name) and what in said else name
+
+
+def statements_of(pack: PackIdentity) -> list[tuple[str, float]]:
+    """Return what a pack states of its size, as statements like the parameters: (name, value)."""
+    stated = []
+    if pack.cells is not None:
+        stated.append((_of_pack(pack.id, "CELLS"), float(pack.cells)))
+    if pack.capacity_Ah > 0.0:
+        stated.append((_of_pack(pack.id, "MAH"), 1000.0 * pack.capacity_Ah))
+    return stated
+
+
 def facts_timeline(
     parameters: Iterable[tuple[float, str, float]], instance: int, is_telemetry: bool
 ) -> tuple[tuple[float, PackFacts], ...]:
@@ -103,13 +132,17 @@ def facts_timeline(
     return tuple(timeline)
 
 
-def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[str]:
-    """Return a note if the capacity is ArduPilot's default value, which is not that of the pack."""
-    name = ardupilot_prefix(instance) + "CAPACITY"
-    last = {n: value for _, n, value in parameters}
-    if last.get(name) != _UNTOUCHED_CAPACITY_MAH:
+def capacity_notes(known: Mapping[str, float], instance: int) -> list[str]:
+    """Return a note if the capacity by the parameters is ArduPilot's default, or not what the battery itself states."""
+    name, own_mAh = ardupilot_prefix(instance) + "CAPACITY", _first(known, _of_pack(instance, "MAH"))
+    name = name if known.get(name, 0.0) > 0.0 else _px4_name(known, instance, "CAPACITY")
+    stated_mAh = _first(known, name)
+    if math.isnan(own_mAh):
+        untouched = f"{name} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"
+        return [untouched] if stated_mAh == _UNTOUCHED_CAPACITY_MAH else []
+    if stated_mAh == _UNTOUCHED_CAPACITY_MAH or not abs(stated_mAh / own_mAh - 1.0) > _OTHER_CAPACITY:
         return []
-    return [f"{name} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"]
+    return [f"{name} is {stated_mAh:.0f} mAh, and counts; the battery itself states {own_mAh:.0f} mAh"]
 
 
 def monitor_parameter(instance: int) -> str:
@@ -123,12 +156,12 @@ def monitor_parameter(instance: int) -> str:
 def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:
     """Return the facts of `instance` from all parameters known so far."""
     prefix = ardupilot_prefix(instance)
-    cells = _first(known, _px4_name(known, instance, "N_CELLS"))
+    cells = _first(known, _px4_name(known, instance, "N_CELLS"), _of_pack(instance, "CELLS"))
     empty_V = _first(known, _px4_name(known, instance, "V_EMPTY"))
     capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
-    is_untouched = math.isnan(capacity_mAh) or capacity_mAh == _UNTOUCHED_CAPACITY_MAH
-    if is_untouched and known.get(prefix + "MONITOR") == SUM_OF_OTHERS:
-        capacity_mAh = _summed_mAh(known, instance)
+    if math.isnan(capacity_mAh) or capacity_mAh == _UNTOUCHED_CAPACITY_MAH:
+        is_sum = known.get(prefix + "MONITOR") == SUM_OF_OTHERS
+        capacity_mAh = _summed_mAh(known, instance) if is_sum else known.get(_of_pack(instance, "MAH"), capacity_mAh)
     low_names = [prefix + "LOW_VOLT"] + (["FS_BATT_VOLTAGE"] if instance == 0 else [])
     critical_V = _first(known, prefix + "CRT_VOLT")
     options = known.get(prefix + "OPTIONS")
@@ -163,6 +196,11 @@ def _summed_mAh(known: Mapping[str, float], instance: int) -> float:
 
 def _has_bit(options: float) -> bool:
     return math.isfinite(options) and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
+
+
+def _of_pack(instance: int, what: str) -> str:
+    """Return the name under which a statement of a battery about itself is kept."""
+    return f"{_OF_PACK}{instance}_{what}"
 
 
 def _px4_name(known: Mapping[str, float], instance: int, what: str) -> str:

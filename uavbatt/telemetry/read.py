@@ -79,7 +79,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
         facts=facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog"),
         duration_s=log.now_s,
         skipped_bytes=log.skipped_bytes,
-        notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
+        notes=tuple(log.all_notes() + capacity_notes({name: value for _, name, value in log.parameters}, chosen)),
         identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
         forecast_period_s=log.forecast_period_s,

@@ -9,6 +9,7 @@ BATTERY_STATUS names batteries by id. SYS_STATUS counts only if the vehicle sent
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -37,12 +38,15 @@ from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
-from uavbatt.telemetry.parameters import HeardParameters
+from uavbatt.telemetry.parameters import HeardParameters, statements_of
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
 _NOBODY = -1
 _MAKES = {3: "ArduPilot", fields.AUTOPILOT_PX4: "PX4"}
+
+
+_Stated = tuple[int, int, tuple[str, float]]  # place and sequence number of a frame, the name and the value in it
 
 
 class _Beats(NamedTuple):
@@ -81,7 +85,6 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None, 
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
     beats = _beats(own, time_s)
     _add_parameters(own, time_s, beats, log)
-    _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
     if chosen != _NOBODY and has_route:
         clock = TlogClock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
@@ -158,31 +161,33 @@ def _beats(own: FrameTable, time_s: Column) -> _Beats:
 
 
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
-    """Add the parameters whose statements count, by the same rules as in flight (`HeardParameters`)."""
+    """Add the statements about vehicle and packs that count, by the same rules as in flight (`HeardParameters`)."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     statements = own.at(place)
     # Before the first heartbeat the vehicle counts as disarmed and not as PX4; integers wait for it, as in flight.
     if len(beats.place):
         waits = (place < beats.place[0]) & tlog_payloads.are_integers(statements)
         place = np.where(waits, beats.place[0], place)
-    last = latest_before(place + 1, beats.place).tolist()
-    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
-    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
-    said = [*tlog_payloads.parameters(statements, is_px4)]
-    at_s, sequences = time_s[place].tolist(), statements.sequence.tolist()
-    for k in np.argsort(place, kind="stable").tolist():
-        name, value = said[k]
-        if heard.counts(name, finite_or_nan(value), sequences[k], is_armed[k]):
-            log.add_parameter(at_s[k], name, value)
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in latest_before(place + 1, beats.place).tolist()]
+    said = tlog_payloads.parameters(statements, is_px4)
+    stated = [*zip(place.tolist(), statements.sequence.tolist(), said, strict=True), *_statements_of_packs(own, log)]
+    stated.sort(key=lambda one: one[0])
+    last = latest_before(np.array([at + 1 for at, _, _ in stated], np.int64), beats.place).tolist()
+    for (at, sequence, (name, value)), beat in zip(stated, last, strict=True):
+        is_armed = beat >= 0 and bool(beats.armed[beat])
+        if heard.counts(name, finite_or_nan(value), sequence, is_armed):
+            log.add_parameter(float(time_s[at]), name, value)
 
 
-def _add_packs(own: FrameTable, log: LogBuilder) -> None:
-    """Add serial and cycles of the packs; the first message of each pack counts."""
+def _statements_of_packs(own: FrameTable, log: LogBuilder) -> Iterator[_Stated]:
+    """Add who the packs are, by the first message of each; yield what the packs state of their size."""
     for message_id, length in fields.IDENTITY_LENGTH.items():
-        for payload in own.of(message_id).payloads(length):
+        found, places = own.of(message_id), own.places(message_id).tolist()
+        for at, sequence, payload in zip(places, found.sequence.tolist(), found.payloads(length), strict=True):
             said = fields.pack_identity(message_id, payload.tobytes())
             if said.serial or said.cycles is not None:
                 log.packs.setdefault(said.id, said)
+            yield from ((at, sequence, stated) for stated in statements_of(said))
 
 
 def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:

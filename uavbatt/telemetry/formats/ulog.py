@@ -12,14 +12,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from uavbatt.errors import BadInput, MissingExtra
-from uavbatt.mavlink import fields
 from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
 from uavbatt.telemetry.formats.px4_unknown import px4_value
+from uavbatt.telemetry.formats.ulog_packs import OF_PACKS, packs
 from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
 from uavbatt.telemetry.identity import utc_s, version
+from uavbatt.telemetry.parameters import statements_of
 
-_TOPICS = ["battery_status", "vehicle_status", "vehicle_gps_position", *OF_ROUTE]
+_TOPICS = [*OF_PACKS, "vehicle_status", "vehicle_gps_position", *OF_ROUTE]
 _ARMED_STATE = 2  # vehicle_status.arming_state
 _US = 1e6
 
@@ -33,7 +34,10 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
     log.time_s(ulog.start_timestamp / _US)
     for name, value in ulog.initial_parameters.items():
         _add_parameter(log, 0.0, name, value)
-    for time_us, _, what in sorted(_events(ulog), key=lambda event: event[:2]):
+    stated = [*packs(ulog)]
+    log.packs = {pack.id: pack for _, pack in stated}
+    of_packs = ((time_us, 0, statement) for time_us, pack in stated for statement in statements_of(pack))
+    for time_us, _, what in sorted([*of_packs, *_events(ulog)], key=lambda event: event[:2]):
         # PX4 also logs the last sample from before the start: it counts as at the start.
         time_s = log.time_s(max(time_us, ulog.start_timestamp) / _US)
         if isinstance(what, bool):
@@ -42,7 +46,6 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
             _add_parameter(log, time_s, *what)
         else:
             instance, row = what
-            _add_pack(log, instance, row)
             log.add(instance, _sample(row, time_s, log.armed))
     log.time_s(ulog.last_timestamp / _US)
     log.identity = _identity(ulog)
@@ -120,14 +123,6 @@ def _events(ulog: Any) -> Iterator[Event]:
 def _add_parameter(log: LogBuilder, time_s: float, name: str, value: Any) -> None:
     if isinstance(value, int | float):  # a damaged type field leaves bytes here
         log.add_parameter(time_s, name, value)
-
-
-def _add_pack(log: LogBuilder, instance: int, row: dict[str, float]) -> None:
-    """Add the pack by the first row that names it: a smart battery's serial, its count of cycles."""
-    serial, cycles = (row.get(name, 0.0) for name in ("serial_number", "cycle_count"))
-    if instance not in log.packs and serial == serial:
-        known = fields.known_serial(f"{serial:.0f}")
-        log.packs[instance] = fields.PackIdentity(instance, known, int(cycles) if 0 < cycles < 65535 else None)
 
 
 def _row(columns: Any, index: int) -> dict[str, float]:

@@ -18,8 +18,10 @@ from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.link.battery_components import BatteryComponents
 from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
-from uavbatt.telemetry.link.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
+from uavbatt.telemetry.link.live_row import BATTERY_IDS, LiveRow, battery_fields
+from uavbatt.telemetry.link.vehicle import Vehicle
 from uavbatt.telemetry.link.vehicle_choice import VehicleChoice
+from uavbatt.telemetry.parameters import in_words
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 
 __all__ = ["LiveReader", "LiveRow", "TakenFrame", "checksum"]
@@ -146,7 +148,7 @@ class LiveReader:
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
         found += [*self._components.notes(vehicle.system), *vehicle.notes]
         for name, doubt in vehicle.parameters.doubted.items():
-            change = f"{name} changed in flight from {vehicle.parameters.known[name]:g} to {doubt.value:g}"
+            change = f"{in_words(name)} changed in flight from {vehicle.parameters.known[name]:g} to {doubt.value:g}"
             found.append(f"{change}: counts when it is heard again")
         return found
 
@@ -184,14 +186,14 @@ class LiveReader:
         return TakenFrame(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
 
     def _meet(self, frame: bytes, header: framing.Header) -> None:
-        """Process the identity of a pack, which any component of the vehicle may send."""
+        """Process what a pack states of itself, which any component of the vehicle may send."""
         end = framing.V2_HEADER + frame[1]
         if frame[0] != framing.V2 or not is_sound(frame, end, fields.IDENTITY_EXTRA[header.message_id]):
             return
         said = fields.pack_identity(header.message_id, frame[framing.V2_HEADER : end])
         for (system, _), vehicle in self._vehicles.items():
-            if system == header.system and (said.serial or said.cycles is not None):
-                vehicle.packs[said.id] = said
+            if system == header.system:
+                vehicle.meet(said, frame)
 
     @property
     def _wanted(self) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
@@ -26,8 +26,15 @@ from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, FALLBACK_AFTER_S
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.lateness import Lateness
+from uavbatt.telemetry.link.live_row import CONFIRMED_WITHIN_S, LiveRow, heard_twice
 from uavbatt.telemetry.link.speakers import Speakers
-from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
+from uavbatt.telemetry.parameters import (
+    BATTERY_NAMES,
+    HeardParameters,
+    capacity_notes,
+    facts_timeline,
+    statements_of,
+)
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
     MISSION_ACK,
@@ -37,43 +44,12 @@ from uavbatt.telemetry.route.messages import (
 )
 from uavbatt.telemetry.route.settings import NAMES
 
-CONFIRMED_WITHIN_S = 60.0
 LAST_BEAT_S = 10.0  # slow radios carry a heartbeat every 5 s
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
 MOST_TRANSFER_WORDS = 6000
 _MISSION_WORDS = b"mission "
-BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
-
-
-class LiveRow(NamedTuple):
-    """A LiveRow is one telemetry row of one battery."""
-
-    instance: int
-    sample: Sample
-
-
-def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
-    """Return a battery message (one of BATTERY_IDS) in SI units."""
-    if message_id == fields.BATTERY_STATUS:
-        return fields.battery_status(message)
-    return fields.sys_status(message) if message_id == fields.SYS_STATUS else fields.battery2(message)
-
-
-def heard_twice(row: LiveRow, known: set[int], first_rows: dict[int, LiveRow]) -> list[LiveRow]:
-    """Return the rows to use: none at the first row of a battery, both rows at its second, then each row.
-
-    known : the batteries that were heard twice; first_rows : the first rows of others. Both are updated.
-    """
-    if row.instance in known:
-        return [row]
-    first = first_rows.pop(row.instance, None)
-    if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
-        first_rows[row.instance] = row
-        return []
-    known.add(row.instance)
-    return [first, row]
 
 
 class Vehicle:
@@ -129,9 +105,10 @@ class Vehicle:
 
     @property
     def notes(self) -> list[str]:
-        """Return notes for the operator about the voltages of the batteries."""
+        """Return notes for the operator about the voltages and capacities of the batteries."""
+        stated = [note for id in self.battery_ids for note in capacity_notes(self.parameters.known, id)]
         if self._without_voltage < WITHOUT_VOLTAGE:
-            return [*self.voltages.notes]
+            return [*self.voltages.notes, *stated]
         doubt = "is its wire broken, or the pack out?" if self.speaks else "is the autopilot's battery monitor set up?"
         return [f"battery messages come without a voltage: {doubt}"]
 
@@ -148,6 +125,13 @@ class Vehicle:
         """Return serial and cycles of a battery's pack: from its own messages, else the serial from the parameter."""
         said = self.packs.get(instance, fields.PackIdentity(instance))
         return replace(said, serial=said.serial or stated_serial(self.parameters.known, instance))
+
+    def meet(self, pack: fields.PackIdentity, frame: bytes) -> None:
+        """Take what a pack states of itself: who it is, and its size as statements like the parameters."""
+        if pack.serial or pack.cycles is not None:
+            self.packs[pack.id] = pack
+        for name, value in statements_of(pack):
+            self._state(name, value, frame)
 
     def resume(self, earlier: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
@@ -227,6 +211,10 @@ class Vehicle:
             self._unread = [*self._unread[-MOST_PARAMETERS:], (message, frame)]
             return
         name, value = fields.parameter(message, self.is_px4 is True)
+        self._state(name, value, frame)
+
+    def _state(self, name: str, value: float, frame: bytes) -> None:
+        """Process a statement of a parameter or of a pack; those that count about battery and flight are recorded."""
         if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
             return
         value = value if math.isfinite(value) else math.nan
