@@ -114,10 +114,9 @@ class Flight:
         kind: format of the log.
         samples: the rows, ascending in time.
         instance: number of this battery.
-        instances: numbers of all batteries of the log.
+        instances: numbers of all batteries of the log; `joined` of them are read as one pack.
         facts: what the vehicle states of the pack, each with the time [s] from which on it holds, ascending.
-        duration_s: from the log's first record to its last [s].
-        skipped_bytes: bytes that could not be read.
+        duration_s: from the log's first record to its last [s]; skipped_bytes: that could not be read.
         notes: what a reader of the log should know.
         identity: aircraft, pack and date, as far as the log tells them.
         navigation: route and position whenever they change, ascending in time.
@@ -136,14 +135,15 @@ class Flight:
     identity: Identity = Identity()
     navigation: tuple[Navigation, ...] = ()
     forecast_period_s: float = NAN
+    joined: int = 1
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
 
     def __repr__(self) -> str:
         """Return one line, without the thousands of rows."""
-        battery = f"{self.source}: {self.kind}, battery {self.instance}"
-        return f"<Flight {battery}, {len(self.samples)} rows, {self.duration_s:.0f} s>"
+        number, rows, last_s = self.instance, len(self.samples), self.duration_s
+        return f"<Flight {self.source}: {self.kind}, battery {number}, {rows} rows, {last_s:.0f} s>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a small table and the voltage over the flight."""

@@ -13,18 +13,23 @@ import numpy as np
 import pytest
 import tomli_w
 from factories import generic_pack
+from msgspec.structs import replace as replace_struct
 from typer.testing import CliRunner
 
 from uavbatt.battery import battery_file
 from uavbatt.battery import vehicle_file as vehicle
+from uavbatt.battery.powers import Powers
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, other_powers, speeds, trace
 from uavbatt.navigation import Navigation, ReturnSettings
+from uavbatt.prediction.load_library import LearnedLoad
+from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
+from uavbatt.telemetry.join import Wiring, joined
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 POWER_W = 700.0  # a flight of five minutes
@@ -50,6 +55,21 @@ def test_round_trip(tmp_path: Path) -> None:
     path = vehicle.write_vehicle(learned(), tmp_path / "quad.vehicle.toml")
     assert vehicle.read_vehicle(path) == learned()
     assert path.stat().st_size < 30_000 and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_of_two_joined_batteries_gives_each_its_half(tmp_path: Path) -> None:
+    """In flight every battery is estimated by itself: with the powers of both the way home took twice its charge."""
+    single, battery = flight(), battery_file.read_battery("lipo-generic")
+    both = joined([replace(single, instance=k, instances=(0, 1)) for k in (0, 1)], Wiring.PARALLEL)
+    file = fit_vehicle("twin", [both], battery, replace(OPTIONS, capacity_Ah=10.0))
+    assert vehicle.read_vehicle(vehicle.write_vehicle(file, tmp_path / "twin.vehicle.toml")).batteries == 2
+    assert file.phases.flight_W == pytest.approx(2.0 * POWER_W, rel=0.06)
+    for flown, watts in ((single, POWER_W), (both, 2.0 * POWER_W)):
+        load = stated_load("learned", flown, file)
+        assert isinstance(load, LearnedLoad)
+        assert load.mean_W[0, 100] == pytest.approx(watts, rel=0.06)
+    powers = Powers(hover_W=1400.0)
+    assert replace_struct(file, powers=powers).of_batteries(1).powers == replace_struct(powers, hover_W=700.0)
 
 
 def test_a_trace_is_the_flight_from_take_off() -> None:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import msgspec
 import tomli_w
+from msgspec.structs import replace
 
 from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
@@ -62,8 +63,8 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     land_slow_below_m: Height | None = None
 
 
-class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """VehicleFile holds the whole vehicle file."""
+class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """VehicleFile holds the whole vehicle file; its powers are those of `batteries` batteries together."""
 
     name: str
     battery: str
@@ -72,6 +73,21 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     source: str = ""
     powers: Powers | None = None  # over airspeed and climb; None where no flight told them
     speeds: Speeds | None = None
+    batteries: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
+
+    def of_batteries(self, count: int) -> VehicleFile:
+        """Return the file with the powers of `count` batteries together, of which each gives the same."""
+        share = count / self.batteries
+        if share == 1.0:
+            return self
+        watts = {name: share * value for name, value in msgspec.to_builtins(self.phases).items()}
+        return replace(
+            self,
+            batteries=count,
+            phases=Phases(**watts),
+            traces=[replace(trace, power_W=[share * value for value in trace.power_W]) for trace in self.traces],
+            powers=self.powers and replace(self.powers, hover_W=share * self.powers.hover_W),
+        )
 
     @property
     def usual(self) -> ReturnSettings:

@@ -58,6 +58,7 @@ def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options:
         source=counted(len(traces), "flight"),
         powers=powers(flights, installation_of(battery, 1, 1.0)),
         speeds=speeds(flights),
+        batteries=flights[0].joined,
     )
 
 

@@ -29,12 +29,13 @@ def stated_load(
     """Return the load to come for the word that the user gives.
 
     text: `learned` (from the vehicle file, else that of an unknown aircraft), `recent`, `log` or a power [W].
+    flight: the powers of the vehicle file are those of as many batteries as it joins.
     battery: its sensor effects correct the logged power of `log`.
     name: how the caller spells the option, for the error.
     Raises UsageError for another word, and for `log` where the flight has no power.
     """
     if text == "learned":
-        return UnknownAircraft() if vehicle is None else learned_load(vehicle)
+        return UnknownAircraft() if vehicle is None else learned_load(vehicle.of_batteries(flight.joined))
     if text == "recent":
         return RecentMean()
     if text == "log":

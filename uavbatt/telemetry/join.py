@@ -73,6 +73,7 @@ def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
         samples=tuple(rows),
         facts=tuple((t, _facts([flight.facts_at(t) for flight in flights], wiring)) for t in changes),
         notes=(*lead.notes, f"batteries {named} joined in {wiring}"),
+        joined=len(flights),
     )
 
 
