@@ -22,6 +22,7 @@ from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
+OFTEN = 0.1  # share of the forecasts
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 
 
@@ -128,8 +129,12 @@ class RouteForecasts(NamedTuple):
 
     @property
     def assumed(self) -> str:
-        """Return what was assumed of the last mission that does not say all; empty if there is none."""
-        return next((route.assumed for _, route in reversed(self.rows) if route.assumed), "")
+        """Return what was assumed most often where mission or vehicle do not say all; empty if hardly ever.
+
+        The wind, for one, is not told in the first seconds of a flight.
+        """
+        assumed = Counter(route.assumed for _, route in self.rows if route.assumed).most_common(1)
+        return next((words for words, times in assumed if times >= OFTEN * len(self.rows)), "")
 
 
 def route_forecasts(run: Iterable[ReplayedRow]) -> RouteForecasts:
