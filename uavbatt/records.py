@@ -110,17 +110,16 @@ class Flight:
     """Flight holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
 
     Attributes:
-        source: path or name of the log.
-        kind: format of the log.
+        source: path or name of the log; kind: its format.
         samples: the rows, ascending in time.
-        instance: number of this battery.
-        instances: numbers of all batteries of the log; `joined` of them are read as one pack.
+        instance, instances: number of this battery, and of all in the log; `joined` of them are read as one pack.
         facts: what the vehicle states of the pack, each with the time [s] from which on it holds, ascending.
         duration_s: from the log's first record to its last [s]; skipped_bytes: that could not be read.
         notes: what a reader of the log should know.
         identity: aircraft, pack and date, as far as the log tells them.
         navigation: route and position whenever they change, ascending in time.
         forecast_period_s: between forecasts in the `uavbatt live` that recorded the log [s]; NaN for other logs.
+        discharges: when a pack that was changed or charged begins [s], and its serial; not the first of the log.
     """
 
     source: str
@@ -136,6 +135,7 @@ class Flight:
     navigation: tuple[Navigation, ...] = ()
     forecast_period_s: float = NAN
     joined: int = 1
+    discharges: tuple[tuple[float, str], ...] = ()
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)

@@ -119,9 +119,11 @@ def _diagnose_and_tell(
     from uavbatt.battery import battery_file
     from uavbatt.cli.diagnose_text import as_json, lines
     from uavbatt.telemetry import read_log
+    from uavbatt.telemetry.discharges import of_discharges
 
     datasets = [data.load(p) for p in sources if p.is_dir()]
-    flights = distinct([read_log(p, options.instance) for p in sources if not p.is_dir()])
+    logs = [read_log(p, options.instance) for p in sources if not p.is_dir()]
+    flights = distinct([flight for log in logs for flight in of_discharges(log)])
     with reason_written(files):
         found, closed, new, base = _run(datasets, flights, options, gate)
     path = str(battery_file.write_battery(new, output)) if output is not None else None

@@ -51,13 +51,15 @@ def _read(sources: Sequence[Path], instance: int | None) -> list[Flight]:
     """Read the logs that are named, and those in folders, each once."""
     from uavbatt.fleet.logs import find_logs
     from uavbatt.telemetry import read_log
+    from uavbatt.telemetry.discharges import of_discharges
 
     paths: list[Path] = []
     for source in sources:
         if (source / "battery.toml").exists():
             raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
         paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
-    return distinct([read_log(path, instance) for path in dict.fromkeys(paths)])
+    logs = [read_log(path, instance) for path in dict.fromkeys(paths)]
+    return distinct([flight for log in logs for flight in of_discharges(log)])
 
 
 def _in_order(flights: list[Flight], packs: Path | None, pack: str) -> list[Flight]:

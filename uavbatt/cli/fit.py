@@ -52,6 +52,8 @@ def fit(
 
     Example: uavbatt fit day1.BIN day2.BIN --cells 4 --capacity-ah 5 --vehicle quad.vehicle.toml
     """
+    from uavbatt.telemetry.discharges import of_discharges
+
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
@@ -60,7 +62,8 @@ def fit(
     check_kind(output, vehicle)
     check_writable(output, vehicle, reads=sources)
     datasets = [_loaded(path) for path in sources if path.is_dir()]
-    flights = [asked_flight(path, instance, join, system) for path in sources if not path.is_dir()]
+    logs = [path for path in sources if not path.is_dir()]
+    flights = [flight for log in logs for flight in of_discharges(asked_flight(log, instance, join, system))]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = _known(read_battery(battery, allow_uncertified), flights, stated)

@@ -38,10 +38,12 @@ from uavbatt.errors import UavbattError, UsageError, terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.cli.pack_memory import PackMemory
     from uavbatt.estimator import Estimator
+    from uavbatt.log_replay.flights import ReplayedFlight
     from uavbatt.log_replay.outcome import Outcome
     from uavbatt.log_replay.run import ReplayedRow
     from uavbatt.records import Flight
@@ -184,6 +186,7 @@ def _one(
     log: Path, options: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None
 ) -> dict[str, Any]:
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
+    from uavbatt.log_replay.flights import ReplayedFlight, flights_of
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
@@ -202,11 +205,31 @@ def _one(
         size = size_of_replayed(estimator, flight)
         found = outcome(run, size.cutoff_V, options.reserve_soc)
         _draw(outputs, flight, run, size, found, options.battery)
+    whole = ReplayedFlight(flight, run, found)
+    parts = flights_of(whole, size.cutoff_V, options.reserve_soc)
+    told = [_told(part, size, options, memory, health if len(parts) == 1 else None) for part in parts]
+    for line in (line for lines, _ in told for line in lines):
+        say(line, *outputs, summary)
+    if len(parts) == 1:
+        return told[0][1]
+    return {**flight_text.summary(flight, size, found, run, options.battery), "flights": [of_one for _, of_one in told]}
+
+
+def _told(
+    part: ReplayedFlight, size: PackSize, options: ReplayOptions, memory: PackMemory, health: PackHealth | None
+) -> tuple[list[str], dict[str, Any]]:
+    """Return the result of a flight as lines and for JSON, and add it to the ledger.
+
+    health : the pack's health before it; None is looked up, a pack that was changed in the log has its own
+    """
+    from uavbatt.report import flight_text
+
+    flight, run, found = part
+    health = health or memory.health_before(flight, options.battery)
     learned = memory.learn(flight, options.battery, options.pack, health)
     lines = flight_text.plain_lines if options.is_plain else flight_text.lines
-    for line in [*lines(flight, size, found, run), *learned.lines]:
-        say(line, *outputs, summary)
-    return {**flight_text.summary(flight, size, found, run, options.battery), **learned.fields}
+    fields = flight_text.summary(flight, size, found, run, options.battery)
+    return [*lines(flight, size, found, run), *learned.lines], {**fields, **learned.fields}
 
 
 def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack) -> list[ReplayedRow]:

@@ -17,6 +17,7 @@ from uavbatt.packs.exchange import flight_of, plain_flight
 from uavbatt.packs.records import FlightRecord
 from uavbatt.packs.remembering import flight_for_ledger, key_of, name_of
 from uavbatt.records import NAN
+from uavbatt.telemetry.discharges import of_discharges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +68,7 @@ def lesson_of(plain: Mapping[str, Any]) -> Lesson:
 def learn(log: LogFile, job: Job) -> Lesson:
     """Return the lesson of a log; no content of the log makes it raise an error."""
     try:
-        flight = read(log, job)
+        flight = of_discharges(read(log, job))[0]
         name = name_of(flight)
         now_utc_s = time.time()
         record = flight_for_ledger(job.battery, job.options, flight, now_utc_s=now_utc_s).record if name else None

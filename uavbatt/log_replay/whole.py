@@ -17,6 +17,7 @@ from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names
+from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
@@ -26,6 +27,7 @@ from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.small_chart import CHART, Span, captioned, small_chart, small_table
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.discharges import of_discharges
 from uavbatt.telemetry.formats.mission_file import read_mission
 
 if TYPE_CHECKING:
@@ -49,6 +51,15 @@ class Replay:
     pack: PackSize
     steps: tuple[ReplayedRow, ...]
     outcome: Outcome
+
+    @property
+    def flights(self) -> tuple[Replay, ...]:
+        """Return each flight of the log as a replay of its own: a changed or charged pack begins another one."""
+        if not self.flight.discharges:
+            return (self,)
+        whole = ReplayedFlight(self.flight, list(self.steps), self.outcome)
+        parts = flights_of(whole, self.pack.cutoff_V, self.outcome.reserve_soc)
+        return tuple(Replay(part.flight, self.pack, tuple(part.run), part.outcome) for part in parts)
 
     def __len__(self) -> int:
         return len(self.steps)
@@ -205,12 +216,13 @@ def _health_before(
 def _remember(
     packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions, health: PackHealth | None
 ) -> None:
-    """Save the record of the flight in the ledger, if its pack has a name; `health` is that before the flight."""
-    name = name_of(flight, pack)
-    found = flight_for_ledger(content, options, flight, health, time.time()).record if name else None
-    if found is not None:
-        with Ledger(packs) as ledger:
-            ledger.save(name, found)
+    """Save the records of the log's flights in the ledger, if their packs have names; `health` is that before them."""
+    for part in of_discharges(flight):
+        name = name_of(part, pack)
+        found = flight_for_ledger(content, options, part, health, time.time()).record if name else None
+        if found is not None:
+            with Ledger(packs) as ledger:
+                ledger.save(name, found)
 
 
 def _battery_content(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:

@@ -6,7 +6,7 @@ A load gives scenarios: power over time, each with a weight. They depend on the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
 from typing import NamedTuple, Protocol
@@ -144,17 +144,20 @@ class LoggedLoad:
 
     time_s: Array
     power_W: Array
+    begins_s: tuple[float, ...] = ()  # when a pack was changed [s]: the flight before did not go on with that load
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the rows [W], at least 1 W."""
         return max(float(np.mean(self.power_W)), LOWEST_POWER_W)
 
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
-        """Return the one scenario that came true; beyond the log, the mean of its last minute.
+        """Return the one scenario that came true; beyond the discharge, the mean of its last minute.
 
         Its powers are means around the instants that are judged, or, when the log's rows are slow, those of its own
         rows.
         """
+        if self.begins_s:
+            return self._discharge(now.time_s).scenarios(now, dt_s, steps)
         last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
         if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:
             return self._rows(now.time_s, dt_s, steps, last_W)
@@ -166,6 +169,13 @@ class LoggedLoad:
         drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
         power_W = np.maximum(np.diff(drawn_J) / np.diff(edges_s), LOWEST_POWER_W)
         return Scenarios(power_W[:, None], np.ones(1), length_s)
+
+    def _discharge(self, time_s: float) -> LoggedLoad:
+        """Return the load of the discharge that goes on at a time [s]."""
+        edges_s = (-np.inf, *self.begins_s, np.inf)
+        k = int(np.searchsorted(edges_s, time_s, side="right"))
+        own = (self.time_s >= edges_s[k - 1]) & (self.time_s < edges_s[k])
+        return LoggedLoad(self.time_s[own], self.power_W[own]) if own.sum() > 1 else replace(self, begins_s=())
 
     def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
         later = self.time_s >= time_s - 1e-6

@@ -44,7 +44,8 @@ def stated_load(
             raise UsageError(f"{flight.source}: {name}log: expected rows with voltage and current")
         sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
         time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in rows]).T
-        return LoggedLoad(time_s, np.maximum(true_power(sensors, volts, amps), 0.0))
+        begins_s = tuple(begin_s for begin_s, _ in flight.discharges)
+        return LoggedLoad(time_s, np.maximum(true_power(sensors, volts, amps), 0.0), begins_s)
     return ConstantLoad(_watts(text, name), STATED_SPREAD)
 
 

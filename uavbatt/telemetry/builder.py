@@ -53,6 +53,7 @@ class LogBuilder:
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
     packs: dict[int, PackIdentity] = field(default_factory=dict)  # by number of the battery
+    serials: dict[int, list[tuple[float, str]]] = field(default_factory=dict)  # of each battery's packs, with time [s]
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # a longer step ahead is a leap of the clock

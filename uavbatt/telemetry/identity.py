@@ -55,6 +55,12 @@ def stated_serial(known: Mapping[str, float], instance: int) -> str:
     return known_serial(f"{serial:.0f}") if serial > 0 else ""
 
 
+def stated_serials(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[tuple[float, str]]:
+    """Return the serials of a battery's packs by the vehicle's parameters, each with its time [s]."""
+    name = ardupilot_prefix(instance) + "SERIAL_NUM"
+    return [(time_s, stated_serial({name: value}, instance)) for time_s, said, value in parameters if said == name]
+
+
 def completed(
     identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int, pack: PackIdentity | None = None
 ) -> Identity:

@@ -18,7 +18,7 @@ from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.formats.logger_table import kind_of_table
 from uavbatt.telemetry.formats.packed import Content as Content
 from uavbatt.telemetry.formats.packed import as_log, is_packed, unpacked
-from uavbatt.telemetry.identity import completed
+from uavbatt.telemetry.identity import completed, stated_serials
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 if TYPE_CHECKING:
@@ -68,21 +68,29 @@ def _uncollected() -> Iterator[None]:
 
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
+    from uavbatt.telemetry.columns import rows_of
+    from uavbatt.telemetry.discharges import discharge_notes, later_discharges
+
     kind, log = _kind_and_rows(source, data, system)
     chosen = _chosen(source, log, instance)
+    rows = log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
+    serials, stated = log.serials.get(chosen, []), stated_serials(log.parameters, chosen)
+    known = {name: value for _, name, value in log.parameters}
+    discharges = later_discharges(rows, serials, stated)
     return Flight(
         source=printable(source),
         kind=kind,
-        samples=tuple(log.columns[chosen].samples() if log.columns else log.rows[chosen]),
+        samples=tuple(rows.samples() if log.columns else log.rows[chosen]),
         instance=chosen,
         instances=tuple(sorted(log.columns or log.rows)),
         facts=facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog"),
         duration_s=log.now_s,
         skipped_bytes=log.skipped_bytes,
-        notes=tuple(log.all_notes() + capacity_notes({name: value for _, name, value in log.parameters}, chosen)),
+        notes=(*log.all_notes(), *capacity_notes(known, chosen), *discharge_notes(discharges)),
         identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
         forecast_period_s=log.forecast_period_s,
+        discharges=discharges,
     )
 
 

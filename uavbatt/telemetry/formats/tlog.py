@@ -170,7 +170,10 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
         place = np.where(waits, beats.place[0], place)
     is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in latest_before(place + 1, beats.place).tolist()]
     said = tlog_payloads.parameters(statements, is_px4)
-    stated = [*zip(place.tolist(), statements.sequence.tolist(), said, strict=True), *_statements_of_packs(own, log)]
+    stated = [
+        *zip(place.tolist(), statements.sequence.tolist(), said, strict=True),
+        *_statements_of_packs(own, time_s, log),
+    ]
     stated.sort(key=lambda one: one[0])
     last = latest_before(np.array([at + 1 for at, _, _ in stated], np.int64), beats.place).tolist()
     for (at, sequence, (name, value)), beat in zip(stated, last, strict=True):
@@ -179,14 +182,16 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
             log.add_parameter(float(time_s[at]), name, value)
 
 
-def _statements_of_packs(own: FrameTable, log: LogBuilder) -> Iterator[_Stated]:
-    """Add who the packs are, by the first message of each; yield what the packs state of their size."""
+def _statements_of_packs(own: FrameTable, time_s: Column, log: LogBuilder) -> Iterator[_Stated]:
+    """Add who the packs are; yield what they state of their size."""
     for message_id, length in fields.IDENTITY_LENGTH.items():
         found, places = own.of(message_id), own.places(message_id).tolist()
         for at, sequence, payload in zip(places, found.sequence.tolist(), found.payloads(length), strict=True):
             said = fields.pack_identity(message_id, payload.tobytes())
             if said.serial or said.cycles is not None:
                 log.packs.setdefault(said.id, said)
+            if said.serial:
+                log.serials.setdefault(said.id, []).append((float(time_s[at]), said.serial))
             yield from ((at, sequence, stated) for stated in statements_of(said))
 
 

@@ -1,0 +1,34 @@
+"""The flights of one log, each judged by itself: a pack that was changed or charged begins another one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from uavbatt.log_replay.outcome import Outcome, outcome
+from uavbatt.log_replay.run import ReplayedRow
+from uavbatt.records import Flight
+from uavbatt.telemetry.discharges import of_discharges
+
+
+class ReplayedFlight(NamedTuple):
+    """ReplayedFlight holds a flight, its replayed rows, and what came of it."""
+
+    flight: Flight
+    run: list[ReplayedRow]
+    outcome: Outcome
+
+
+def flights_of(whole: ReplayedFlight, cutoff_V: float, reserve_soc: float) -> list[ReplayedFlight]:
+    """Return each flight of a replayed log; the log as it is if it holds one discharge only.
+
+    cutoff_V : of the pack [V]; reserve_soc : charge that ends the flight, too
+    """
+    parts = of_discharges(whole.flight)
+    if len(parts) < 2:
+        return [whole]
+    found = []
+    for part in parts:
+        first_s, last_s = part.samples[0].time_s, part.samples[-1].time_s
+        run = [row for row in whole.run if first_s <= row.estimate.time_s <= last_s]
+        found.append(ReplayedFlight(part, run, outcome(run, cutoff_V, reserve_soc)))
+    return found

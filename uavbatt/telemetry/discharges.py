@@ -1,0 +1,122 @@
+"""The discharges in one log: a ground station may go on recording while the pack is changed or charged.
+
+Without its pack a vehicle is silent. After a silence another pack, or the same one charged, shows a higher voltage at
+rest than the old one can reach by resting; a counter of charge that has begun again says that the autopilot had no
+power, and then a smaller difference tells, upwards or downwards. A pack that goes on being discharged after a silence
+or a landing is the same discharge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from uavbatt.records import NAN, Flight
+from uavbatt.telemetry.columns import Columns
+from uavbatt.telemetry.quality.drawn import loaded_A
+
+SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s in a DataFlash log
+# Voltage after the silence over the highest one before it, from which on the pack is another or was charged: a pack at
+# rest rises by 2 % at most, one that was under load by 7 %. With a counter that has begun again half of it is enough.
+RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
+COUNTER_SLACK_AH = 0.02
+LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
+
+
+def begins_s(rows: Columns) -> tuple[float, ...]:
+    """Return the times [s] at which another discharge begins than that of the log's first rows."""
+    ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
+    if not ends.size:
+        return ()
+    least_A = loaded_A(rows.current_A)
+    return tuple(float(rows.time_s[k + 1]) for k in ends.tolist() if _is_another(rows, k, least_A))
+
+
+def _is_another(rows: Columns, end: int, least_A: float) -> bool:
+    """Return True if the rows after `end`, the last one before a silence, are of another discharge."""
+    time_s, amps = rows.time_s, np.nan_to_num(rows.current_A)
+    before = np.flatnonzero((time_s <= time_s[end]) & (time_s > time_s[end] - BEFORE_S))
+    after = np.flatnonzero((time_s > time_s[end]) & (time_s <= time_s[end + 1] + AFTER_S))
+    resting = after[(amps[after] < least_A) & np.isfinite(rows.voltage_V[after])]
+    known = before[np.isfinite(rows.voltage_V[before])]
+    if not (resting.size and known.size):
+        return False
+    ratio = float(np.median(rows.voltage_V[resting]) / np.max(rows.voltage_V[known]))
+    most = RESTED if (amps[before] < least_A).any() else LOADED
+    if not rows.consumed_Ah[after[0]] < rows.consumed_Ah[end] - COUNTER_SLACK_AH:
+        return ratio > most
+    slack = 1.0 + RESTARTED * (most - 1.0)
+    return not 1.0 / slack < ratio < slack
+
+
+def of_discharges(flight: Flight) -> tuple[Flight, ...]:
+    """Return each discharge of a log with a flight in it, as a flight of its own; the whole log if it is one only.
+
+    Times stay those of the log.
+    """
+    if not flight.discharges:
+        return (flight,)
+    edges_s = [-np.inf, *(time_s for time_s, _ in flight.discharges), np.inf]
+    serials = [flight.identity.battery_serial, *(serial for _, serial in flight.discharges)]
+    found = [
+        _between(flight, begin_s, end_s, serial)
+        for (begin_s, end_s), serial in zip(pairwise(edges_s), serials, strict=True)
+    ]
+    least_A = loaded_A(np.array([sample.current_A for sample in flight.samples]))
+    flown = [part for part in found if _loaded_s(part, least_A) >= LEAST_LOADED_S]
+    if len(flown) < 2:
+        return (flight,) if not flown else (replace(flown[0], source=flight.source),)
+    names = (f"{flight.source}, flight {k} of {len(flown)}" for k in range(1, len(flown) + 1))
+    return tuple(replace(part, source=name) for part, name in zip(flown, names, strict=True))
+
+
+def discharge_notes(discharges: Sequence[tuple[float, str]]) -> list[str]:
+    """Return a note where a log holds later discharges, each with its beginning [s]."""
+    if not discharges:
+        return []
+    times = " and ".join(f"{time_s:.0f} s" for time_s, _ in discharges)
+    return [f"the pack was changed or charged before {times}: each flight is judged by itself"]
+
+
+def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Flight:
+    """Return the rows of a flight from one time to another [s], with what was known then."""
+    samples = tuple(sample for sample in flight.samples if begin_s <= sample.time_s < end_s)
+    began_s = samples[0].time_s if samples else NAN
+    who = flight.identity
+    return replace(
+        flight,
+        samples=samples,
+        discharges=(),
+        facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s < end_s),
+        navigation=tuple(known for known in flight.navigation if known.time_s < end_s),
+        duration_s=samples[-1].time_s - began_s if samples else 0.0,
+        identity=who if begin_s == -np.inf else replace(
+            who, battery_serial=serial, battery_cycles=None, start_utc_s=who.start_utc_s + began_s
+        ),
+    )  # fmt: skip
+
+
+def _loaded_s(flight: Flight, least_A: float) -> float:
+    """Return how long a flight is under load [s]; infinite if no current tells."""
+    if not np.isfinite(least_A):
+        return np.inf
+    steps = pairwise(flight.samples)
+    return sum(min(b.time_s - a.time_s, SILENCE_S) for a, b in steps if a.current_A > least_A)
+
+
+def later_discharges(
+    rows: Columns, told: Sequence[tuple[float, str]], stated: Sequence[tuple[float, str]]
+) -> tuple[tuple[float, str], ...]:
+    """Return when each later discharge of a log begins [s], with the serial of its pack; empty if nothing tells it.
+
+    told, stated : serials by the packs themselves, and by the parameters, which last; each with its time [s]
+    """
+    found = []
+    for begin_s, end_s in pairwise([*begins_s(rows), np.inf]):
+        of_pack = [serial for time_s, serial in told if begin_s <= time_s < end_s]
+        of_vehicle = [serial for time_s, serial in stated if time_s < end_s]
+        found.append((begin_s, (of_pack[:1] or of_vehicle[-1:] or [""])[0]))
+    return tuple(found)
