@@ -29,6 +29,20 @@ def battery_row(time_s: float, voltage_V: float, current_A: float, instance: int
     return frame(beat, time_s, system) + frame(status, time_s, system)
 
 
+def smart_info(capacity_mAh: int, cells: int, serial: bytes = b"A7", instance: int = 0) -> Any:
+    """A SMART_BATTERY_INFO: what a smart battery states of itself."""
+    return dialect.MAVLink_smart_battery_info_message(
+        instance, 0, 1, capacity_mAh, -1, 12, serial, b"maker", 65535, 0, 0, 0, 0, cells, 0, 0, b""
+    )
+
+
+def smart(
+    capacity_mAh: int, cells: int, time_s: float, serial: bytes = b"A7", instance: int = 0
+) -> tuple[float, bytes]:
+    """The same as a frame of a log, with the time at which it is sent [s]."""
+    return time_s, frame(smart_info(capacity_mAh, cells, serial, instance), time_s)
+
+
 def hover(seconds: int, volts: float, amps: float, instance: int = 0, system: int = 1) -> list[tuple[float, bytes]]:
     """Five seconds at rest, then a hover; a row a second, each with its time [s]."""
     rest = [(float(k), battery_row(k, volts, 0.1, instance, system)) for k in range(5)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from frames import HOME_POSITION
+from frames import HOME_POSITION, smart_info
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
@@ -75,13 +75,6 @@ def test_on_the_ground_and_for_the_first_time_a_parameter_counts_at_once() -> No
     assert resolved(bench).capacity_Ah == 4.5
 
 
-def smart(capacity_mAh: int) -> Any:
-    """What a smart battery states of itself."""
-    return dialect.MAVLink_smart_battery_info_message(
-        0, 0, 1, capacity_mAh, -1, 12, b"A7", b"maker", 65535, 0, 0, 0, 0, 4, 0, 0, b""
-    )
-
-
 def test_a_smart_battery_states_the_size_of_the_pack(tmp_path: Path) -> None:
     """No parameter was heard: the number was refused for want of a capacity. It lives through a restart, too."""
     state, link = StateSection(file=str(tmp_path / "state.json")), LinkSection(endpoint="x", gcs=["y"], request=True)
@@ -89,11 +82,11 @@ def test_a_smart_battery_states_the_size_of_the_pack(tmp_path: Path) -> None:
     bench.send(heartbeat(False))
     bench.fly(10.0)
     assert "capacity" in str(bench.daemon.board.reports[0].remaining.reason)
-    bench.send(smart(5200))
+    bench.send(smart_info(5200, 4))
     assert (resolved(bench).capacity_Ah, resolved(bench).cells) == (5.2, 4)
     bench.fly(60.0, used=0.1)
     bench.link.sent.clear()
-    bench.send(smart(52_000))  # forged, or damaged
+    bench.send(smart_info(52_000, 4))  # forged, or damaged
     bench.daemon.turn()
     assert asked_of(bench) == []  # no autopilot has such a parameter
     (note,) = bench.daemon.board.notes
@@ -107,11 +100,11 @@ def test_a_smart_battery_states_the_size_of_the_pack(tmp_path: Path) -> None:
 
 def test_a_capacity_that_the_battery_denies_is_noted() -> None:
     bench = flying()
-    bench.send(smart(5200))
+    bench.send(smart_info(5200, 4))
     bench.fly(1.0, used=0.1)
     assert not bench.daemon.board.notes
     bench = flying()
-    bench.send(smart(8000))
+    bench.send(smart_info(8000, 4))
     bench.fly(1.0, used=0.1)
     (note,) = bench.daemon.board.notes
     assert note == "BATT_CAPACITY is 5000 mAh, and counts; the battery itself states 8000 mAh"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from frames import battery_row, frame, hover, write_log
+from frames import battery_row, frame, hover, smart, write_log
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
@@ -16,14 +16,6 @@ from uavbatt.battery.log_statements import size_from_rows
 from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
-
-
-def smart(capacity_mAh: int, cells: int, time_s: float, serial: bytes = b"A7", number: int = 0) -> tuple[float, bytes]:
-    """A SMART_BATTERY_INFO of a battery, with the time at which it is sent [s]."""
-    said = dialect.MAVLink_smart_battery_info_message(
-        number, 0, 1, capacity_mAh, -1, 12, serial, b"maker", 65535, 0, 0, 0, 0, cells, 0, 0, b""
-    )
-    return time_s, frame(said, time_s)
 
 
 def parameter(name: bytes, value: float, time_s: float) -> tuple[float, bytes]:

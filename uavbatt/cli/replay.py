@@ -61,6 +61,13 @@ class Outputs(NamedTuple):
     png: Path | None
     svg: Path | None
 
+    def of_flight(self, number: int) -> Outputs:
+        """Return the files of a flight of the log; the names of charts and page have its number, from the second on."""
+        if number == 1:
+            return self
+        named = (path and path.with_stem(f"{path.stem}-{number}") for path in (self.report, self.png, self.svg))
+        return Outputs(self.jsonl, self.csv, *named)
+
     def in_folders(self, name: str) -> Outputs:
         """Return the files of one log, by its name, in these folders."""
         return Outputs(*(path and path / (name + ending) for path, ending in zip(self, ENDINGS, strict=True)))
@@ -204,9 +211,9 @@ def _one(
         run = _written(flight, estimator, log.name, outputs, stack)
         size = size_of_replayed(estimator, flight)
         found = outcome(run, size.cutoff_V, options.reserve_soc)
-        _draw(outputs, flight, run, size, found, options.battery)
-    whole = ReplayedFlight(flight, run, found)
-    parts = flights_of(whole, size.cutoff_V, options.reserve_soc)
+        parts = flights_of(ReplayedFlight(flight, run, found), size.cutoff_V, options.reserve_soc)
+        for number, part in enumerate(parts, start=1):
+            _draw(outputs.of_flight(number), *part, size, options.battery)
     told = [_told(part, size, options, memory, health if len(parts) == 1 else None) for part in parts]
     for line in (line for lines, _ in told for line in lines):
         say(line, *outputs, summary)
@@ -248,7 +255,7 @@ def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, 
 
 
 def _draw(
-    outputs: Outputs, flight: Flight, run: list[ReplayedRow], size: PackSize, found: Outcome, battery: BatteryFile
+    outputs: Outputs, flight: Flight, run: list[ReplayedRow], found: Outcome, size: PackSize, battery: BatteryFile
 ) -> None:
     """Write the charts and the page that are wanted."""
     charts = [path for path in (outputs.png, outputs.svg) if path is not None]

@@ -1,9 +1,9 @@
 """The discharges in one log: a ground station may go on recording while the pack is changed or charged.
 
 Without its pack a vehicle is silent. After a silence another pack, or the same one charged, shows a higher voltage at
-rest than the old one can reach by resting; a counter of charge that has begun again says that the autopilot had no
-power, and then a smaller difference tells, upwards or downwards. A pack that goes on being discharged after a silence
-or a landing is the same discharge.
+rest than the old one can reach by resting. A counter of charge that has begun again says that the autopilot had no
+power, and then a smaller difference tells, upwards or downwards. So does another serial number of a smart battery. A
+pack that goes on being discharged after a silence or a landing is the same discharge.
 """
 
 from __future__ import annotations
@@ -26,13 +26,27 @@ COUNTER_SLACK_AH = 0.02
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 
 
-def begins_s(rows: Columns) -> tuple[float, ...]:
-    """Return the times [s] at which another discharge begins than that of the log's first rows."""
+def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[float, ...]:
+    """Return the times [s] at which another discharge begins than that of the log's first rows.
+
+    told : serials that the packs themselves tell, each with its time [s]
+    """
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
     if not ends.size:
         return ()
     least_A = loaded_A(rows.current_A)
-    return tuple(float(rows.time_s[k + 1]) for k in ends.tolist() if _is_another(rows, k, least_A))
+    return tuple(
+        begin_s
+        for k, begin_s in zip(ends.tolist(), rows.time_s[ends + 1].tolist(), strict=True)
+        if _has_other_serial(told, begin_s) or _is_another(rows, k, least_A)
+    )
+
+
+def _has_other_serial(told: Sequence[tuple[float, str]], begin_s: float) -> bool:
+    """Return True if the pack told another serial before a time [s] than from then on."""
+    before = [serial for time_s, serial in told if time_s < begin_s][-1:]
+    after = [serial for time_s, serial in told if time_s >= begin_s][:1]
+    return bool(before and after) and before != after
 
 
 def _is_another(rows: Columns, end: int, least_A: float) -> bool:
@@ -115,7 +129,7 @@ def later_discharges(
     told, stated : serials by the packs themselves, and by the parameters, which last; each with its time [s]
     """
     found = []
-    for begin_s, end_s in pairwise([*begins_s(rows), np.inf]):
+    for begin_s, end_s in pairwise([*begins_s(rows, told), np.inf]):
         of_pack = [serial for time_s, serial in told if begin_s <= time_s < end_s]
         of_vehicle = [serial for time_s, serial in stated if time_s < end_s]
         found.append((begin_s, (of_pack[:1] or of_vehicle[-1:] or [""])[0]))

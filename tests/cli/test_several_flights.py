@@ -1,0 +1,90 @@
+"""A log in which the pack was changed between two flights: every command takes them for two."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from factories import generic_pack
+from typer.testing import CliRunner
+
+import uavbatt
+from uavbatt.battery import battery_file
+from uavbatt.cli.app import app
+from uavbatt.records import Sample
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
+
+BETWEEN_S = 300.0
+
+
+def flight(seed: int) -> list[Sample]:
+    return list(simulate_flight(generic_pack(), SimulatedFlight(600.0, rate_Hz=1.0, seed=seed)))
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The first flight, the second, and both in one log with five minutes of silence between them."""
+    folder, first, second = tmp_path_factory.mktemp("logs"), flight(1), flight(2)
+    begin_s = first[-1].time_s + BETWEEN_S
+    both = [*first, *(replace(sample, time_s=sample.time_s + begin_s) for sample in second)]
+    made = {"first": first, "second": second, "both": both}
+    for name, samples in made.items():
+        write_log(folder / f"{name}.tlog", samples, generic_pack())
+    return {name: folder / f"{name}.tlog" for name in made}
+
+
+def run(*words: object) -> str:
+    found = CliRunner().invoke(app, [str(word) for word in words])
+    assert found.exit_code == 0, found.output
+    return found.output
+
+
+def test_each_flight_has_its_own_answer_page_and_summary(logs: dict[str, Path], tmp_path: Path) -> None:
+    summary, page = tmp_path / "both.json", tmp_path / "both.html"
+    said = run("replay", logs["both"], "--json", summary, "--report", page)
+    assert said.count("The battery was at its end before you landed") == 2
+    assert f"{logs['both']}, flight 2 of 2:" in said
+    assert "flight 2 of 2" in (tmp_path / "both-2.html").read_text("utf-8")
+    first, second = json.loads(summary.read_text())["flights"]
+    alone = [uavbatt.replay(logs[name]).outcome for name in ("first", "second")]
+    assert first["end_of_flight_s"] == alone[0].end_of_flight_s
+    begin_s = second["end_of_flight_s"] - alone[1].end_of_flight_s
+    assert begin_s == pytest.approx(alone[0].duration_s + BETWEEN_S, abs=1.0)
+    for found, expected in ((first, alone[0]), (second, alone[1])):
+        assert [score["error_s"] for score in found["scores"]] == pytest.approx(
+            [checkpoint.error_s for checkpoint in expected.checkpoints], abs=5.0
+        )
+
+
+def test_the_python_face_gives_each_flight(logs: dict[str, Path]) -> None:
+    both = uavbatt.replay(logs["both"])
+    one, two = both.flights
+    assert len(one) + len(two) == len(both)
+    assert one.flights == (one,)
+    assert two.outcome.checkpoints[0].inside
+
+
+def test_a_fit_of_the_log_is_that_of_its_flights(logs: dict[str, Path], tmp_path: Path) -> None:
+    """It was refused: 1.5 times the stated capacity were drawn."""
+    pack = ("--cells", 4, "--capacity-ah", 5, "--cutoff-voltage", 13.2)
+    run("fit", logs["both"], "-o", tmp_path / "a.battery.toml", *pack)
+    run("fit", logs["first"], logs["second"], "-o", tmp_path / "b.battery.toml", *pack)
+    one, other = (battery_file.read_battery(tmp_path / f"{name}.battery.toml") for name in "ab")
+    assert one.parameters == other.parameters
+
+
+def test_the_ledger_remembers_both(logs: dict[str, Path], tmp_path: Path) -> None:
+    said = run("replay", logs["both"], "--packs", tmp_path / "a.sqlite", "--pack", "A")
+    assert "2 flights remembered" in said
+    assert "more charge after 5 minutes: another pack under this name?" in said
+    uavbatt.replay(logs["both"], packs=tmp_path / "b.sqlite", pack="A")
+    assert "2 flights" in run("packs", tmp_path / "b.sqlite")
+
+
+def test_a_fleet_says_that_only_the_first_is_judged(logs: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/both.tlog").write_bytes(logs["both"].read_bytes())
+    run("fleet", tmp_path / "logs", "-o", tmp_path / "out")
+    assert "2 flights in the log, the first is judged" in (tmp_path / "out/flights.csv").read_text("utf-8")

@@ -1,0 +1,133 @@
+"""Where another discharge begins in a log: a changed or charged pack, and nothing that only looks like one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factories import generic_pack
+from frames import battery_row, hover, smart, write_log
+
+from uavbatt.prediction.load import FlightPoint, LoggedLoad
+from uavbatt.prediction.power_history import RecentLoad
+from uavbatt.records import Flight, Sample
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.columns import rows_of
+from uavbatt.telemetry.discharges import begins_s, of_discharges
+
+FIRST_S = 300.0
+
+
+@cache
+def flown(start_soc: float = 1.0, power_W: float = 500.0) -> tuple[Sample, ...]:
+    """A flight of five minutes, after 20 s of idling."""
+    found = simulate_flight(generic_pack(), SimulatedFlight(power_W, start_soc=start_soc, rate_Hz=1.0))
+    return tuple(sample for sample in found if sample.time_s <= FIRST_S)
+
+
+def later(samples: tuple[Sample, ...], silence_s: float) -> tuple[Sample, ...]:
+    """The rows as they come after another flight and a silence [s]."""
+    begin_s = FIRST_S + silence_s
+    return tuple(replace(sample, time_s=sample.time_s + begin_s) for sample in samples)
+
+
+def rested(seconds: int, soc: float) -> tuple[Sample, ...]:
+    """A pack on the ground after its flight, its counter going on."""
+    last = flown()[-1]
+    cell_V = np.interp(soc, [0.0, 1.0], [3.5, 4.2])
+    return tuple(
+        Sample(FIRST_S + k, 4.0 * cell_V - 0.1 * np.exp(-k / 20.0), 0.2, 25.0, last.consumed_Ah)
+        for k in range(1, seconds + 1)
+    )
+
+
+def begins(*parts: tuple[Sample, ...]) -> tuple[float, ...]:
+    return begins_s(rows_of([sample for part in parts for sample in part]))
+
+
+def test_a_full_pack_after_a_silence_is_another_discharge() -> None:
+    assert begins(flown(), later(flown(), 60.0)) == (FIRST_S + 60.0,)
+    assert begins(flown()) == ()
+
+
+def test_a_part_charged_pack_is_told_by_a_counter_that_begins_again() -> None:
+    second = later(flown(start_soc=0.8), 120.0)
+    assert begins(flown(), rested(60, 0.55), second) == (FIRST_S + 120.0,)
+    emptier = later(flown(start_soc=0.3, power_W=150.0), 120.0)
+    assert begins(flown(), rested(60, 0.55), emptier) == (FIRST_S + 120.0,)
+
+
+def going_on(silence_s: float, rise_V: float = 0.0) -> tuple[Sample, ...]:
+    """The same pack after a silence: at rest it has risen a little, and its counter goes on."""
+    return tuple(
+        replace(sample, time_s=sample.time_s + silence_s, voltage_V=sample.voltage_V + rise_V)
+        for sample in rested(120, 0.55)
+    )
+
+
+@pytest.mark.parametrize("silence_s", [5.0, 30.0, 3600.0])
+def test_the_same_pack_after_a_silence_is_no_other_discharge(silence_s: float) -> None:
+    assert begins(flown(), going_on(silence_s)) == ()  # it was silent from the landing on
+    assert begins(flown(), rested(40, 0.55), going_on(silence_s + 40.0, rise_V=0.15)) == ()
+
+
+def test_a_flight_that_goes_on_through_a_silence_is_one_discharge() -> None:
+    parts = flown()
+    kept = tuple(sample for sample in parts if not 100.0 < sample.time_s < 160.0)
+    assert begins(kept) == ()
+    restarted = tuple(
+        sample if sample.time_s < 100.0 else replace(sample, consumed_Ah=sample.consumed_Ah - 0.5) for sample in kept
+    )
+    assert begins(restarted) == ()  # an autopilot that restarts in the air has no rested row
+
+
+def two_flights(tmp_path: Path, *more: tuple[float, bytes], second_V: float = 16.5) -> Flight:
+    """Two minutes of hover, eight of silence, and two minutes with another pack; the counter is not sent."""
+    again = [
+        (600.0 + k, battery_row(600.0 + k, second_V - (0.45 if k > 5 else 0.003), 15.0 if k > 5 else 0.1))
+        for k in range(120)
+    ]
+    return read_log(write_log(tmp_path / "two.tlog", [*hover(120, 14.8, 15.0), *again, *more]))
+
+
+def test_each_discharge_is_a_flight_of_its_own_with_its_own_pack(tmp_path: Path) -> None:
+    log = two_flights(tmp_path, smart(5200, 4, 2.0, b"A1"), smart(5200, 4, 602.0, b"B2"))
+    one, two = of_discharges(log)
+    assert (one.source, two.source) == (f"{log.source}, flight 1 of 2", f"{log.source}, flight 2 of 2")
+    assert (one.identity.battery_serial, two.identity.battery_serial) == ("A1", "B2")
+    assert two.identity.start_utc_s == pytest.approx(one.identity.start_utc_s + 600.0)
+    assert (len(one.samples), two.samples[0].time_s) == (120, 600.0)
+    assert [s for part in (one, two) for s in part.samples] == list(log.samples)
+    assert "the pack was changed or charged before 600 s" in log.notes[-1]
+
+
+def test_who_the_second_pack_is_is_not_known_if_only_the_first_said_so(tmp_path: Path) -> None:
+    _, two = of_discharges(two_flights(tmp_path, smart(5200, 4, 2.0, b"A1")))
+    assert two.identity.battery_serial == ""
+
+
+def test_the_serial_alone_tells_a_pack_with_the_same_voltage(tmp_path: Path) -> None:
+    told = smart(5200, 4, 2.0, b"A1"), smart(5200, 4, 602.0, b"B2"), smart(5200, 4, 612.0, b"B2")
+    assert two_flights(tmp_path, *told, second_V=14.6).discharges == ((600.0, "B2"),)
+    assert two_flights(tmp_path, *told[:1], second_V=14.6).discharges == ()
+
+
+def test_a_part_without_a_flight_is_left_out() -> None:
+    idle = tuple(Sample(float(k), 15.0, 0.1, 25.0, 0.0) for k in range(60))
+    air = tuple(replace(sample, time_s=sample.time_s + 120.0) for sample in flown())
+    log = Flight("a.csv", "csv", (*idle, *air), discharges=((120.0, ""),))
+    (only,) = of_discharges(log)
+    assert (only.source, only.samples) == ("a.csv", air)
+
+
+def test_the_logged_load_of_a_flight_ends_with_it() -> None:
+    """A forecast of the first flight went on with the load of the second one."""
+    time_s = np.concatenate([np.arange(0.0, 300.0), np.arange(900.0, 1200.0)])
+    load = LoggedLoad(time_s, np.where(time_s < 600.0, 200.0, 500.0), (900.0,))
+    for now_s, watts in ((250.0, 200.0), (950.0, 500.0)):
+        now = FlightPoint(now_s, now_s, 0.5, watts, RecentLoad())
+        assert load.scenarios(now, 5.0, 200).power_W == pytest.approx(np.full((200, 1), watts))
