@@ -54,6 +54,11 @@ def test_a_full_pack_after_a_silence_is_another_discharge() -> None:
     assert begins(flown()) == ()
 
 
+def test_an_autopilot_that_speaks_on_by_usb_shows_no_pack() -> None:
+    usb = tuple(Sample(FIRST_S + k, 0.2, 0.0, 25.0, flown()[-1].consumed_Ah) for k in range(1, 60))
+    assert begins(flown(), usb, later(flown(), 60.0)) == (FIRST_S + 60.0,)
+
+
 def test_a_part_charged_pack_is_told_by_a_counter_that_begins_again() -> None:
     second = later(flown(start_soc=0.8), 120.0)
     assert begins(flown(), rested(60, 0.55), second) == (FIRST_S + 120.0,)

@@ -23,6 +23,7 @@ SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s 
 # rest rises by 2 % at most, one that was under load by 7 %. With a counter that has begun again half of it is enough.
 RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
 COUNTER_SLACK_AH = 0.02
+NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 
 
@@ -31,6 +32,8 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
 
     told : serials that the packs themselves tell, each with its time [s]
     """
+    volts = rows.voltage_V
+    rows = rows.at(volts > NO_PACK * np.median(volts))  # on USB power the autopilot speaks on without its pack
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
     if not ends.size:
         return ()
@@ -54,11 +57,10 @@ def _is_another(rows: Columns, end: int, least_A: float) -> bool:
     time_s, amps = rows.time_s, np.nan_to_num(rows.current_A)
     before = np.flatnonzero((time_s <= time_s[end]) & (time_s > time_s[end] - BEFORE_S))
     after = np.flatnonzero((time_s > time_s[end]) & (time_s <= time_s[end + 1] + AFTER_S))
-    resting = after[(amps[after] < least_A) & np.isfinite(rows.voltage_V[after])]
-    known = before[np.isfinite(rows.voltage_V[before])]
-    if not (resting.size and known.size):
+    resting = after[amps[after] < least_A]
+    if not resting.size:
         return False
-    ratio = float(np.median(rows.voltage_V[resting]) / np.max(rows.voltage_V[known]))
+    ratio = float(np.median(rows.voltage_V[resting]) / np.max(rows.voltage_V[before]))
     most = RESTED if (amps[before] < least_A).any() else LOADED
     if not rows.consumed_Ah[after[0]] < rows.consumed_Ah[end] - COUNTER_SLACK_AH:
         return ratio > most
