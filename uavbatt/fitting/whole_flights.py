@@ -16,6 +16,7 @@ from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, solve
 from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.output import counted
 from uavbatt.records import Flight
 
 LEAST_BEGUN_SOC = 0.55  # by a usual drop
@@ -37,12 +38,16 @@ def read(flights: Sequence[Flight], cells: int, capacity_Ah: float) -> tuple[lis
 def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
     """Return the flights that begin at rest or nearly full, and for each other one in words why it is left out.
 
-    What half of the flights have in common is no fault of one: then all are kept.
+    What half of the flights have in common is no fault of one: then all are kept, and one word of doubt is said.
     """
     if not flown:
         return [], []
     stack = observed.stack(flown)
     is_known = np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC)
+    begun_later = int(np.sum(~is_known))
+    if 2 * begun_later >= len(flown):
+        said = f"{begun_later} of {counted(len(flown), 'flight')} begin under load with about half the charge or less"
+        return flown, [f"{said}: their start is only guessed, record from before the take-off"]
     return _without(flown, ~is_known, "under load", "a part of a flight, or a pack that was not full")
 
 
