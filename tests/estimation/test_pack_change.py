@@ -29,14 +29,19 @@ def test_a_somewhat_fuller_pack_is_another_without_a_silence(second_soc: float) 
     assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 25.0
 
 
-@pytest.mark.parametrize(("cells", "air_C", "resistance"), [(2, 25.0, 1.0), (4, -5.0, 2.0), (12, 10.0, 1.0)])
-def test_a_pack_that_rests_after_a_flight_is_the_same(cells: int, air_C: float, resistance: float) -> None:
+@pytest.mark.parametrize(
+    ("cells", "air_C", "resistance", "rests_s"),
+    [(2, 25.0, 1.0, 300), (4, -5.0, 2.0, 300), (12, 10.0, 1.0, 300), (4, -5.0, 2.0, 3600)],
+)
+def test_a_pack_that_rests_after_a_flight_is_the_same(
+    cells: int, air_C: float, resistance: float, rests_s: int
+) -> None:
     """It rises for minutes, in steps of a noisy sensor; what the flight told of it stays."""
     pack = Pack(cells=cells, air_C=air_C, resistance=resistance)
     before = rested(pack, 20, 0.0)
     powers_W = itertools.islice(Power(75.0 * cells).rows_W(3), 300)
     before += drawn(pack, powers_W, 20.0, before[-1].consumed_Ah, cutoff_V=3.0 * cells).rows
-    after = rested(pack, 300, before[-1].time_s + 1.0, before[-1].consumed_Ah)
+    after = rested(pack, rests_s, before[-1].time_s + 1.0, before[-1].consumed_Ah)
     dice = np.random.default_rng(cells)
     options = replace(STATED, cells=cells, cutoff_V=3.3 * cells)
     judge = generic_estimator(options)
@@ -44,6 +49,52 @@ def test_a_pack_that_rests_after_a_flight_is_the_same(cells: int, air_C: float, 
     told = [e for e, _ in judge.run([noisy(row, dice) for row in before])][-1]
     for estimate, _ in judge.run([noisy(row, dice) for row in after]):
         assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
+
+
+def charged(charger_A: float) -> tuple[list[Sample], list[Sample]]:
+    """Two flights of one pack, charged between them in a dock; and the second flight alone.
+
+    charger_A : the current [A] that the aircraft's own sensor shows of it
+    """
+    first = Pack()
+    before = rested(first, 15, 0.0)
+    before += flown(first, 15.0, 400, before[-1].consumed_Ah)
+    ground = rested(first, 120, before[-1].time_s + 1.0, before[-1].consumed_Ah)
+    low_V, last = ground[-1].voltage_V, ground[-1]
+    full = rested(Pack(), 1, 0.0)[0].voltage_V
+    minutes = np.arange(0.0, 40.0, 0.05)
+    risen_V = np.minimum(low_V + 0.2 + (full - low_V - 0.15) * minutes / 32.0, full + 0.05)
+    charging = [
+        replace(last, time_s=last.time_s + 1.0 + 60.0 * minute, voltage_V=volts, current_A=charger_A)
+        for minute, volts in zip(minutes.tolist(), risen_V.tolist(), strict=True)
+    ]
+    settling = [
+        replace(last, time_s=charging[-1].time_s + 3.0 + 3.0 * k, voltage_V=full + 0.05 * math.exp(-k / 20.0))
+        for k in range(80)
+    ]
+    second = Pack()
+    alone = rested(second, 15, 0.0)
+    alone += flown(second, 15.0)
+    shift_s = settling[-1].time_s + 1.0
+    again = [replace(row, time_s=row.time_s + shift_s, consumed_Ah=row.consumed_Ah + last.consumed_Ah) for row in alone]
+    rows = before + ground + charging + settling
+    return [replace(row, armed=False) if row in (*ground, *charging, *settling) else row for row in rows] + again, alone
+
+
+@pytest.mark.parametrize("charger_A", [0.3, -5.0])
+def test_a_pack_charged_in_a_dock_begins_anew(charger_A: float) -> None:
+    """The autopilot stays on: half a charge was told for a full pack, or a minute too much at half time."""
+    rows, alone = charged(charger_A)
+    end_s = alone[-1].time_s
+    shift_s = rows[-1].time_s - end_s
+    docked = {e.time_s - shift_s: (e, r) for e, r in generic_estimator(STATED).run(rows) if e.time_s > shift_s}
+    fresh = {e.time_s: (e, r) for e, r in generic_estimator(STATED).run(alone)}
+    for before_s in (0.5 * end_s, 240.0, 120.0):
+        (one, left), (other, true) = (
+            min(said.items(), key=lambda at: abs(at[0] - (end_s - before_s)))[1] for said in (docked, fresh)
+        )
+        assert one.soc == pytest.approx(other.soc, abs=0.07)
+        assert left.remaining_s == pytest.approx(true.remaining_s, abs=60.0)
 
 
 def unseen(first: Pack, air_s: int, silent_s: float, second: Pack, restarts: bool = True) -> list[Sample]:

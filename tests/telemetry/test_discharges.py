@@ -59,6 +59,19 @@ def test_an_autopilot_that_speaks_on_by_usb_shows_no_pack() -> None:
     assert begins(flown(), usb, later(flown(), 60.0)) == (FIRST_S + 60.0,)
 
 
+@pytest.mark.parametrize(("full_V", "is_charged"), [(16.7, True), (15.6, False)])
+def test_a_pack_charged_in_a_dock_is_another_discharge(full_V: float, is_charged: bool) -> None:
+    """The autopilot speaks on all the time; a pack that only rests for so long is the same."""
+    risen_V = np.minimum(15.4 + 0.1 * np.exp(-np.arange(1500) / 20.0) + np.arange(1500) / 1000.0, full_V)
+    dock = tuple(
+        Sample(FIRST_S + 1.0 + k, float(volts), 0.2, 25.0, flown()[-1].consumed_Ah) for k, volts in enumerate(risen_V)
+    )
+    again = later(flown(), 1501.0)
+    take_off_s = next(row.time_s for row in again if row.current_A > 5.0)
+    found = begins(flown(), dock, again)
+    assert found == ((pytest.approx(take_off_s - 60.0, abs=1.0),) if is_charged else ())
+
+
 def test_a_part_charged_pack_is_told_by_a_counter_that_begins_again() -> None:
     second = later(flown(start_soc=0.8), 120.0)
     assert begins(flown(), rested(60, 0.55), second) == (FIRST_S + 120.0,)

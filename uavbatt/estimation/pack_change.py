@@ -8,7 +8,8 @@ settled, so that both bounds are close to its predicted voltage, also with an id
 of the autopilot that has fallen also shows another pack, unless the flight evidently continued. Without a silence,
 four observations show another pack: a fall of the rested voltage (at rest it only rises), once the voltage rises
 slowly, a sudden rise or a voltage far too high, and seconds without a pack while disarmed. After these the same pack
-may come back, but nothing says so.
+may come back, but nothing says so. A pack that is charged in the aircraft, in a dock, counts as another one, too: its
+voltage rises long after it has settled, or a current flows into it.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ RESTED_C_RATE, SWAP_ROWS, SWAP_LASTS_S = 0.15, 3, 1.9
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 # A pack that has rested for SLOWLY_AFTER_S rises by at most 1 mV a second; a worn pack in the cold by 3 mV.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
+# Five minutes after a flight no pack rises by 0.03 V a cell any more, unless it is empty. A minute is no glitch.
+CHARGED_AFTER_S, CHARGED_CELL_V, CHARGING_C_RATE, CHARGING_S = 300.0, 0.03, 0.05, 60.0
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply
 OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
@@ -75,6 +78,8 @@ class SwapWatch(NamedTuple):
     other_since_s: float = NAN  # time of the first of these rows
     rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
     rested_since_s: float = NAN
+    settled_V: float = NAN  # of a cell, the lowest one since it has settled
+    charging_s: float = 0.0  # time for which a current has flown into the pack since the last flight [s]
     out_since_s: float = NAN  # since when the input has shown no pack
     is_out: bool = False  # the pack was taken out
     is_another: bool = False  # enough rows have shown another pack
@@ -97,7 +102,10 @@ class SwapWatch(NamedTuple):
         elif gap_s > 0.0:
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         consumed_Ah = sample.consumed_Ah if math.isfinite(sample.consumed_Ah) else self.consumed_Ah
-        now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
+        charging_s = self.charging_s if current_A < FLYING_C_RATE * capacity_Ah else 0.0
+        if current_A < -CHARGING_C_RATE * capacity_Ah and sample.armed is not True and gap_s > 0.0:
+            charging_s += min(gap_s, LONGEST_ROW_S)
+        now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah, charging_s=charging_s)
         if self.is_out:
             return self._other(now, silence)._replace(is_out=True)
         if abs(current_A) < RESTED_C_RATE * capacity_Ah:
@@ -122,10 +130,16 @@ class SwapWatch(NamedTuple):
             other = other or has_leapt or above_V > FAR_CELL_V
         if silence is not None:
             other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
+        other = other or cell_V > self.settled_V + CHARGED_CELL_V or now.charging_s >= CHARGING_S
         if other:
-            return self._other(now, silence)._replace(rested_V=self.rested_V, rested_since_s=since_s)
+            kept = now._replace(rested_V=self.rested_V, rested_since_s=since_s, settled_V=self.settled_V)
+            return self._other(kept, silence)
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
-        return now._replace(silence=silence, rested_V=rested_V, rested_since_s=since_s)
+        is_settled = now.seen_s - since_s > CHARGED_AFTER_S
+        settled_V = min(rested_V, self.settled_V) if self.settled_V == self.settled_V else rested_V
+        return now._replace(
+            silence=silence, rested_V=rested_V, rested_since_s=since_s, settled_V=settled_V if is_settled else NAN
+        )
 
     def _without_pack(self, sample: Sample, cell_V: float, capacity_Ah: float) -> SwapWatch:
         """Return the watch after a row that shows no pack, with so many volts a cell.

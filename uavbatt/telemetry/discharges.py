@@ -2,13 +2,14 @@
 
 Without its pack a vehicle is silent. After a silence another pack, or the same one charged, shows a higher voltage at
 rest than the old one can reach by resting. A counter of charge that has begun again says that the autopilot had no
-power, and then a smaller difference tells, upwards or downwards. So does another serial number of a smart battery. A
-pack that goes on being discharged after a silence or a landing is the same discharge.
+power, and then a smaller difference tells, upwards or downwards. So does another serial number of a smart battery. In a
+dock the autopilot speaks on while the pack is charged. A pack that goes on being discharged after a silence or a
+landing is the same discharge.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -24,6 +25,10 @@ SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s 
 RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
 COUNTER_SLACK_AH = 0.02
 NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
+DOCKED_S, SETTLED_S = (
+    600.0,
+    60.0,
+)  # the shortest charge between two flights, and the rest by which a voltage has settled
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 
 
@@ -35,14 +40,28 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
     volts = rows.voltage_V
     rows = rows.at(volts > NO_PACK * np.median(volts))  # on USB power the autopilot speaks on without its pack
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
-    if not ends.size:
-        return ()
     least_A = loaded_A(rows.current_A)
-    return tuple(
+    changed_s = [
         begin_s
         for k, begin_s in zip(ends.tolist(), rows.time_s[ends + 1].tolist(), strict=True)
         if _has_other_serial(told, begin_s) or _is_another(rows, k, least_A)
-    )
+    ]
+    docked = _docked(rows, least_A)
+    charged_s = [begin_s for landed_s, begin_s in docked if not any(landed_s < s <= begin_s for s in changed_s)]
+    return tuple(sorted([*changed_s, *charged_s]))
+
+
+def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
+    """Yield the landing of each pack that was charged in the aircraft [s], and when it had settled after that [s]."""
+    loaded_s = rows.time_s[np.nan_to_num(rows.current_A) > least_A]
+    ends = np.flatnonzero(np.diff(loaded_s) > DOCKED_S)
+    for landed_s, again_s in zip(loaded_s[ends].tolist(), loaded_s[ends + 1].tolist(), strict=True):
+        before = (rows.time_s > landed_s + SETTLED_S) & (rows.time_s < landed_s + 2.0 * SETTLED_S)
+        after = (rows.time_s > again_s - SETTLED_S) & (rows.time_s < again_s)
+        if before.any() and after.any():
+            settled_V = float(np.median(rows.voltage_V[after]))
+            if settled_V > RESTED * float(np.median(rows.voltage_V[before])):
+                yield landed_s, float(rows.time_s[np.argmax(after)])
 
 
 def _has_other_serial(told: Sequence[tuple[float, str]], begin_s: float) -> bool:
