@@ -97,6 +97,28 @@ def test_the_level_goes_from_the_prior_to_what_was_flown_and_forgets() -> None:
     assert 0.9 < changed.level(POWERS)[0] < 0.95
 
 
+@pytest.mark.parametrize("after", [1.35, 0.7])
+def test_a_payload_changed_in_flight_is_known_after_two_minutes(after: float) -> None:
+    """It was averaged away: eight minutes after 35 % more power the time left was a quarter too long."""
+    lessons = FlightLessons()
+    for second in range(500):
+        lessons = lessons.with_power_ratio(1.0 + 0.02 * math.sin(second / 5.0), 1.0, 0.03)
+    for _ in range(120):
+        lessons = lessons.with_power_ratio(after, 1.0, 0.03)
+    mean = lessons.level_sum_s / lessons.level_s
+    assert mean == pytest.approx(after, abs=0.09)
+
+
+def test_gusts_and_a_front_change_no_payload() -> None:
+    """12 % for two minutes, and noisy rows: what was flown before still counts."""
+    lessons, dice = FlightLessons(), np.random.default_rng(1)
+    for second in range(620):
+        ratio = (1.12 if second > 500 else 1.0) * math.exp(0.1 * dice.standard_normal())
+        lessons = lessons.with_power_ratio(ratio, 1.0, 0.1)
+    assert lessons.level_s > 300.0
+    assert lessons.level_sum_s / lessons.level_s < 1.05
+
+
 def test_an_unknown_aircraft_has_no_level_before_it_has_flown_a_while() -> None:
     lessons = FlightLessons()
     for second in range(40):
