@@ -22,6 +22,7 @@ from uavbatt.prediction.load_library import (
     OWN_SPREAD,
     LearnedLoad,
     UnknownAircraft,
+    changed_blocks,
     learned_load,
 )
 from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
@@ -295,3 +296,38 @@ def test_a_flight_with_a_gap_is_like_any_other() -> None:
     """After five minutes without rows nobody knows where the powers before them belong."""
     load = library(past(UP_AND_DOWN * 20), past(STEADY * 20))
     assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0, missing_s=300.0)) == pytest.approx(0.5)
+
+
+# --- a payload taken up in flight --------------------------------------------------------------------------------
+
+
+def told(step: float, since: int, scatter: float = 0.0, blocks: int = 20) -> int:
+    """The blocks since a step that is found, in a flight of 300 W among past ones that swing alike."""
+    dice = np.random.default_rng(2)
+    swing = 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
+    own_W = swing * np.exp(scatter * dice.standard_normal(blocks))
+    own_W[blocks - since :] *= step
+    return changed_blocks(own_W, np.stack([0.95 * swing, swing, 1.05 * swing]))
+
+
+def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
+    assert [told(1.35, since) for since in (3, 5, 10, 16)] == [3, 5, 10, 16]
+    assert told(1.35, 6, scatter=0.06) == 6
+
+
+def test_what_is_no_payload_taken_up_changes_nothing() -> None:
+    assert told(1.35, 2) == 0  # a climb of a minute
+    assert told(1.15, 10) == 0
+    assert told(0.7, 10) == 0  # less power may be a long descent
+    assert told(1.35, 5, scatter=0.3) == 0  # a flight unlike the past ones
+    assert told(1.35, 3, blocks=6) == 0  # too little was flown before it
+    assert changed_blocks(np.empty(0), np.empty((3, 0))) == 0
+
+
+def test_a_flight_that_needs_more_since_a_step_goes_on_so() -> None:
+    """Seven minutes after it the time left was a third too long: the mean of the whole flight counted."""
+    load = library(*[past([300.0] * 180)] * FEW_FLIGHTS)
+    pieces = flown(*[300.0] * 60, *[405.0] * 60)
+    recent = RecentLoad(600.0, 405.0, 405.0, pieces)
+    point = FlightPoint(600.0, 600.0, 0.5, 352.0, recent)
+    assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, FEW_FLIGHTS), 405.0), rel=0.01)
