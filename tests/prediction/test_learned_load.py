@@ -13,7 +13,7 @@ from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import FlightPoint, Load, Scenarios, equal_levels
+from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
@@ -230,10 +230,10 @@ def width(load: Load, recent: RecentLoad = CALM) -> float:
     return found.hi_s - found.lo_s
 
 
-def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
+def forecast(load: Load, recent: RecentLoad = CALM, capacity_Ah: float = 5.0) -> Forecast:
     mean, sd = np.zeros(SIZE), np.full(SIZE, 1e-6)
     mean[X.SOC], mean[X.CORE], mean[X.SENSOR], sd[X.SOC] = 0.7, 25.0, 25.0, 0.01
-    pack = generic_pack()
+    pack = generic_pack(capacity_Ah=capacity_Ah)
     forecaster = Forecaster(pack, ForecastSettings(load))
     flown = FlightSoFar(recent, took_off_s=-200.0, flown_s=200.0, flown_J=56000.0)
     forecaster.recall(forecaster.memory._replace(flight=flown))
@@ -296,6 +296,27 @@ def test_a_flight_with_a_gap_is_like_any_other() -> None:
     """After five minutes without rows nobody knows where the powers before them belong."""
     load = library(past(UP_AND_DOWN * 20), past(STEADY * 20))
     assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0, missing_s=300.0)) == pytest.approx(0.5)
+
+
+# --- flights of hours --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hours", [1.0, 2.5, 3.5, 4.5])
+def test_a_flight_of_hours_ends_like_one_of_minutes(hours: float) -> None:
+    """The steps of a forecast reached 2.8 hours: twice the true time was told for a flight of three."""
+    capacity_Ah = 5.0 * 60.0 * hours / 10.0  # with 5 Ah it is some ten minutes
+    learned = forecast(library(*[past([280.0] * 90)] * FEW_FLIGHTS), capacity_Ah=capacity_Ah)
+    stated = forecast(ConstantLoad(280.0, 0.01), capacity_Ah=capacity_Ah)
+    assert learned.median_s == pytest.approx(stated.median_s, rel=0.03)
+    assert learned.hi_s < 1.5 * learned.median_s
+
+
+def test_a_library_goes_on_beyond_its_first_hour() -> None:
+    """Blocks of past flights beyond the grid had no power, as if this flight needed many times as much."""
+    load = library(past([300.0] * 720))
+    pieces = flown(*[300.0] * 130, each_s=30.0)
+    point = FlightPoint(3900.0, 3900.0, 0.3, 300.0, RecentLoad(3900.0, 300.0, 300.0, pieces))
+    assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, 1), 300.0), rel=0.01)
 
 
 # --- a payload taken up in flight --------------------------------------------------------------------------------

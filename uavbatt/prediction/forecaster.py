@@ -169,9 +169,11 @@ class Forecaster:
         typical_s = longest_s(self.pack, belief, typical_W)
         if not typical_s < LONGEST_FLIGHT_S:
             return None
-        horizon_s, by_rows = LONGEST_SHARE * typical_s, self._flight.row_s > SLOW_ROW_S
-        dt_s = self._flight.row_s if by_rows else _step_s(load, typical_s)
-        steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
+        horizon_s, row_s = LONGEST_SHARE * typical_s, self._flight.row_s
+        shortest_s = horizon_s / (sampling.LONGEST - 2)  # the steps must reach the horizon
+        by_rows = row_s > max(SLOW_ROW_S, shortest_s)
+        dt_s = row_s if by_rows else max(_step_s(load, typical_s), shortest_s)
+        steps = math.ceil(horizon_s / dt_s - 1e-6) + 2
         left_s = steady_s(self.pack, belief, typical_W)
         scenarios = load.scenarios(now._replace(left_s=left_s), dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)

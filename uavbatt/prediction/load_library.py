@@ -105,8 +105,9 @@ class LearnedLoad:
             return np.empty(0), np.empty((flights, 0))
         edges_s = flown.length_s - BLOCK_S * np.arange(own_W.size, -1, -1)
         at_s = GRID_S * np.arange(self.drawn_J.shape[1])
-        past_W = np.diff([np.interp(edges_s, at_s, past_J) for past_J in self.drawn_J]) / BLOCK_S
-        return own_W, past_W
+        past_J = [np.interp(edges_s, at_s, drawn_J) for drawn_J in self.drawn_J]
+        past_J += np.maximum(edges_s - at_s[-1], 0.0) * self.power_W[:, -1:]  # beyond the grid as at its end
+        return own_W, np.diff(past_J) / BLOCK_S
 
 
 def changed_blocks(own_W: Array, past_W: Array) -> int:
