@@ -13,7 +13,7 @@ from frames import battery_row, hover, smart, write_log
 
 from uavbatt.prediction.load import FlightPoint, LoggedLoad
 from uavbatt.prediction.power_history import RecentLoad
-from uavbatt.records import Flight, Sample
+from uavbatt.records import NAN, Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.columns import rows_of
@@ -91,6 +91,15 @@ def going_on(silence_s: float, rise_V: float = 0.0) -> tuple[Sample, ...]:
 def test_the_same_pack_after_a_silence_is_no_other_discharge(silence_s: float) -> None:
     assert begins(flown(), going_on(silence_s)) == ()  # it was silent from the landing on
     assert begins(flown(), rested(40, 0.55), going_on(silence_s + 40.0, rise_V=0.15)) == ()
+
+
+def test_a_landing_in_a_silence_is_no_change_where_no_current_is_measured() -> None:
+    """Nobody knows then that the pack was under load before it, and rises by more than a rested one."""
+    landed = tuple(replace(sample, time_s=sample.time_s + 30.0) for sample in rested(60, 0.35))
+    blind = [tuple(replace(sample, current_A=NAN) for sample in part) for part in (flown(), landed)]
+    ratio = blind[1][0].voltage_V / blind[0][-1].voltage_V
+    assert 1.035 < ratio < 1.1
+    assert begins(*blind) == ()
 
 
 def test_a_flight_that_goes_on_through_a_silence_is_one_discharge() -> None:

@@ -25,10 +25,8 @@ SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s 
 RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
 COUNTER_SLACK_AH = 0.02
 NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
-DOCKED_S, SETTLED_S = (
-    600.0,
-    60.0,
-)  # the shortest charge between two flights, and the rest by which a voltage has settled
+# The shortest charge between two flights, and the rest by which a voltage has settled.
+DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 
 
@@ -80,7 +78,8 @@ def _is_another(rows: Columns, end: int, least_A: float) -> bool:
     if not resting.size:
         return False
     ratio = float(np.median(rows.voltage_V[resting]) / np.max(rows.voltage_V[before]))
-    most = RESTED if (amps[before] < least_A).any() else LOADED
+    has_rested = np.isfinite(least_A) and (amps[before] < least_A).any()
+    most = RESTED if has_rested else LOADED
     if not rows.consumed_Ah[after[0]] < rows.consumed_Ah[end] - COUNTER_SLACK_AH:
         return ratio > most
     slack = 1.0 + RESTARTED * (most - 1.0)
