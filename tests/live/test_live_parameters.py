@@ -98,6 +98,16 @@ def test_a_smart_battery_states_the_size_of_the_pack(tmp_path: Path) -> None:
     assert resolved(later).capacity_Ah == 5.2
 
 
+def test_a_battery_that_speaks_before_its_autopilot_is_heard() -> None:
+    """Some send it once, when the link opens; of another system it says nothing."""
+    bench = Bench(OPTIONS)
+    bench.send(smart_info(5200, 4))
+    bench.send(heartbeat(False))
+    bench.fly(10.0)
+    assert resolved(bench).capacity_Ah == 5.2
+    assert bench.daemon._reader.followed.pack(0).serial == "A7"
+
+
 def test_a_capacity_that_the_battery_denies_is_noted() -> None:
     bench = flying()
     bench.send(smart_info(5200, 4))

@@ -27,6 +27,7 @@ from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 __all__ = ["LiveReader", "LiveRow", "TakenFrame", "checksum"]
 
 MOST_VEHICLES = 16
+MOST_UNMET = 64  # packs that are remembered before their vehicle is heard
 _TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
 WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
 AUTOPILOT_COMPONENT = 1
@@ -82,6 +83,7 @@ class LiveReader:
         self._decode = decoder()
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
+        self._unmet: dict[tuple[int, int], tuple[fields.PackIdentity, bytes]] = {}  # packs of systems not heard yet
         self._resumed: Mapping[str, float] = {}
         self.planned: PlannedFlight | None = None
         self.following = VehicleChoice()
@@ -191,9 +193,11 @@ class LiveReader:
         if frame[0] != framing.V2 or not is_sound(frame, end, fields.IDENTITY_EXTRA[header.message_id]):
             return
         said = fields.pack_identity(header.message_id, frame[framing.V2_HEADER : end])
-        for (system, _), vehicle in self._vehicles.items():
-            if system == header.system:
-                vehicle.meet(said, frame)
+        known = [vehicle for (system, _), vehicle in self._vehicles.items() if system == header.system]
+        for vehicle in known:
+            vehicle.meet(said, frame)
+        if not known and len(self._unmet) < MOST_UNMET:
+            self._unmet[header.system, said.id] = said, frame
 
     @property
     def _wanted(self) -> str:
@@ -254,7 +258,9 @@ class LiveReader:
             kept = (self.followed, self.following.awaited)
             others = [s for s, vehicle in self._vehicles.items() if vehicle not in kept]
             del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
-        self._vehicles[source] = Vehicle(*source, self._own_component)
+        self._vehicles[source] = vehicle = Vehicle(*source, self._own_component)
+        for said, frame in [met for (system, _), met in self._unmet.items() if system == header.system]:
+            vehicle.meet(said, frame)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
         """Follow this vehicle if `VehicleChoice` chooses it; an awaited one that is heard again keeps its
