@@ -66,6 +66,14 @@ def test_a_battery_that_states_its_size(vehicle: dict[str, float], capacity_Ah: 
     assert all(note in words for note, words in zip(notes, found, strict=True))
 
 
+def test_only_an_ardupilot_has_the_default_of_ardupilot() -> None:
+    assert capacity_notes({"BATT_CAPACITY": 3300.0}, 0)[0].startswith(
+        "BATT_CAPACITY is 3300 mAh, ArduPilot's untouched"
+    )
+    assert capacity_notes({"BAT1_CAPACITY": 3300.0}, 0) == []
+    assert capacity_notes({}, 0) == []
+
+
 def test_the_temperature_of_motor_controllers_is_not_the_packs() -> None:
     """They warm by 40 K in two minutes: a healthy flight was told a third of its time."""
     pack = Pack()
