@@ -110,11 +110,14 @@ class Flight:
     """Flight holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
 
     Attributes:
-        source: path or name of the log; kind: its format.
+        source: path or name of the log.
+        kind: format of the log.
         samples: the rows, ascending in time.
-        instance, instances: number of this battery, and of all in the log; `joined` of them are read as one pack.
+        instance: number of this battery.
+        instances: numbers of all batteries of the log, of which `joined` are read as one pack.
         facts: what the vehicle states of the pack, each with the time [s] from which on it holds, ascending.
-        duration_s: from the log's first record to its last [s]; skipped_bytes: that could not be read.
+        duration_s: from the log's first record to its last [s].
+        skipped_bytes: bytes that could not be read.
         notes: what a reader of the log should know.
         identity: aircraft, pack and date, as far as the log tells them.
         navigation: route and position whenever they change, ascending in time.
@@ -149,12 +152,9 @@ class Flight:
         """Return what a notebook shows: a small table and the voltage over the flight."""
         from uavbatt.small_chart import voltage_table
 
-        facts = (
-            ("log", self.kind),
-            ("battery", f"{self.instance} of {', '.join(map(str, self.instances))}"),
-            ("rows", f"{len(self.samples)} in {self.duration_s:.0f} s"),
-            ("notes", "; ".join(self.notes) or "none"),
-        )
+        battery = f"{self.instance} of {', '.join(map(str, self.instances))}"
+        rows, notes = f"{len(self.samples)} in {self.duration_s:.0f} s", "; ".join(self.notes) or "none"
+        facts = (("log", self.kind), ("battery", battery), ("rows", rows), ("notes", notes))
         return voltage_table(self.source, facts, [(s.time_s, s.voltage_V) for s in self.samples])
 
     def facts_at(self, time_s: float) -> PackFacts:

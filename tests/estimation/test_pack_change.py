@@ -77,8 +77,8 @@ def charged(charger_A: float) -> tuple[list[Sample], list[Sample]]:
     alone += flown(second, 15.0)
     shift_s = settling[-1].time_s + 1.0
     again = [replace(row, time_s=row.time_s + shift_s, consumed_Ah=row.consumed_Ah + last.consumed_Ah) for row in alone]
-    rows = before + ground + charging + settling
-    return [replace(row, armed=False) if row in (*ground, *charging, *settling) else row for row in rows] + again, alone
+    landed = [replace(row, armed=False) for row in (*ground, *charging, *settling)]
+    return [*before, *landed, *again], alone
 
 
 @pytest.mark.parametrize("charger_A", [0.3, -5.0])

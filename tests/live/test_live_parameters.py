@@ -99,7 +99,7 @@ def test_a_smart_battery_states_the_size_of_the_pack(tmp_path: Path) -> None:
 
 
 def test_a_battery_that_speaks_before_its_autopilot_is_heard() -> None:
-    """Some send it once, when the link opens; of another system it says nothing."""
+    """Some send it once, when the link opens."""
     bench = Bench(OPTIONS)
     bench.send(smart_info(5200, 4))
     bench.send(heartbeat(False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def message(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<HB", len(content), kind[0]) + content
 
 
-def ulog(status: str, rows: list[bytes], info: list[bytes] = []) -> bytes:  # noqa: B006
+def ulog(status: str, rows: Sequence[bytes], info: Sequence[bytes] = ()) -> bytes:
     """A PX4 log of one battery: `status` are the fields of battery_status; `info` rows of battery_info."""
     head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
     made = head + message(b"F", f"battery_status:{status}".encode())
@@ -96,12 +97,11 @@ def read_ulog(tmp_path: Path, data: bytes) -> Flight:
 
 def test_a_px4_log_of_a_smart_battery(tmp_path: Path) -> None:
     """PX4 1.16 and later: the serial is a text in battery_info."""
-    info = [struct.pack("<QB32s", 0, 2, b"other"), struct.pack("<QB32s", 0, 1, b"TB-0042")]
-    first_of_each = [struct.pack("<QB32s", 0, 1, b"TB-0042")]
-    found = read_ulog(tmp_path, ulog(STATUS, [status_row(k) for k in range(100)], first_of_each))
+    own, other = struct.pack("<QB32s", 0, 1, b"TB-0042"), struct.pack("<QB32s", 0, 2, b"other")
+    found = read_ulog(tmp_path, ulog(STATUS, [status_row(k) for k in range(100)], [own]))
     assert (found.identity.battery_serial, found.identity.battery_cycles) == ("TB-0042", 41)
     assert (sized(found).cells, sized(found).capacity_Ah) == (6, 16.0)
-    of_another = read_ulog(tmp_path, ulog(STATUS, [status_row(k) for k in range(100)], info[:1]))
+    of_another = read_ulog(tmp_path, ulog(STATUS, [status_row(k) for k in range(100)], [other]))
     assert of_another.identity.battery_serial == ""
 
 

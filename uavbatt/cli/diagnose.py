@@ -18,7 +18,7 @@ from uavbatt.cli.diagnose_records import (
     tested_size,
     with_known_start,
 )
-from uavbatt.cli.logs import InstanceOption
+from uavbatt.cli.logs import InstanceOption, asked_flights
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -118,12 +118,9 @@ def _diagnose_and_tell(
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
     from uavbatt.cli.diagnose_text import as_json, lines
-    from uavbatt.telemetry import read_log
-    from uavbatt.telemetry.discharges import of_discharges
 
     datasets = [data.load(p) for p in sources if p.is_dir()]
-    logs = [read_log(p, options.instance) for p in sources if not p.is_dir()]
-    flights = distinct([flight for log in logs for flight in of_discharges(log)])
+    flights = distinct(asked_flights([p for p in sources if not p.is_dir()], options.instance))
     with reason_written(files):
         found, closed, new, base = _run(datasets, flights, options, gate)
     path = str(battery_file.write_battery(new, output)) if output is not None else None

@@ -17,6 +17,7 @@ from uavbatt.cli.diagnose_records import (
     reason_written,
     with_known_start,
 )
+from uavbatt.cli.logs import asked_flights
 from uavbatt.cli.options import ResultFiles, remark
 from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
@@ -50,16 +51,13 @@ def follow_and_tell(sources: Sequence[Path], options: DiagnoseOptions, files: Re
 def _read(sources: Sequence[Path], instance: int | None) -> list[Flight]:
     """Read the logs that are named, and those in folders, each once."""
     from uavbatt.fleet.logs import find_logs
-    from uavbatt.telemetry import read_log
-    from uavbatt.telemetry.discharges import of_discharges
 
     paths: list[Path] = []
     for source in sources:
         if (source / "battery.toml").exists():
             raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
         paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
-    logs = [read_log(path, instance) for path in dict.fromkeys(paths)]
-    return distinct([flight for log in logs for flight in of_discharges(log)])
+    return distinct(asked_flights(list(dict.fromkeys(paths)), instance))
 
 
 def _in_order(flights: list[Flight], packs: Path | None, pack: str) -> list[Flight]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flights
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -52,8 +52,6 @@ def fit(
 
     Example: uavbatt fit day1.BIN day2.BIN --cells 4 --capacity-ah 5 --vehicle quad.vehicle.toml
     """
-    from uavbatt.telemetry.discharges import of_discharges
-
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
@@ -62,8 +60,7 @@ def fit(
     check_kind(output, vehicle)
     check_writable(output, vehicle, reads=sources)
     datasets = [_loaded(path) for path in sources if path.is_dir()]
-    logs = [path for path in sources if not path.is_dir()]
-    flights = [flight for log in logs for flight in of_discharges(asked_flight(log, instance, join, system))]
+    flights = asked_flights([path for path in sources if not path.is_dir()], instance, join, system)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = _known(read_battery(battery, allow_uncertified), flights, stated)

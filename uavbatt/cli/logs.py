@@ -33,6 +33,15 @@ def asked_flight(log: Path, instance: int | None, join: str, system: int | None 
     return read_joined(log, Wiring(join), system) if join else read_log(log, instance, system)
 
 
+def asked_flights(
+    logs: Sequence[Path], instance: int | None, join: str = "", system: int | None = None
+) -> list[Flight]:
+    """Read the flights of logs with these options: of a log in which the pack was changed each flight by itself."""
+    from uavbatt.telemetry.discharges import of_discharges
+
+    return [flight for log in logs for flight in of_discharges(asked_flight(log, instance, join, system))]
+
+
 def check_join(instance: int | None, join: str) -> None:
     """Raise UsageError for an unknown wiring, or for a wiring together with a single battery."""
     from uavbatt.telemetry.join import Wiring

@@ -211,12 +211,16 @@ def _one(
         run = _written(flight, estimator, log.name, outputs, stack)
         size = size_of_replayed(estimator, flight)
         found = outcome(run, size.cutoff_V, options.reserve_soc)
-        parts = flights_of(ReplayedFlight(flight, run, found), size.cutoff_V, options.reserve_soc)
+        parts = flights_of(ReplayedFlight(flight, run, found), size.cutoff_V)
         for number, part in enumerate(parts, start=1):
             _draw(outputs.of_flight(number), *part, size, options.battery)
-    told = [_told(part, size, options, memory, health if len(parts) == 1 else None) for part in parts]
-    for line in (line for lines, _ in told for line in lines):
-        say(line, *outputs, summary)
+    told = [
+        _told(part, size, options, memory, memory.health_before(part.flight, options.battery) if number else health)
+        for number, part in enumerate(parts)
+    ]
+    for lines, _ in told:
+        for line in lines:
+            say(line, *outputs, summary)
     if len(parts) == 1:
         return told[0][1]
     return {**flight_text.summary(flight, size, found, run, options.battery), "flights": [of_one for _, of_one in told]}
@@ -225,14 +229,10 @@ def _one(
 def _told(
     part: ReplayedFlight, size: PackSize, options: ReplayOptions, memory: PackMemory, health: PackHealth | None
 ) -> tuple[list[str], dict[str, Any]]:
-    """Return the result of a flight as lines and for JSON, and add it to the ledger.
-
-    health : the pack's health before it; None is looked up, a pack that was changed in the log has its own
-    """
+    """Return the result of a flight as lines and for JSON, and add it to the ledger; `health` is that before it."""
     from uavbatt.report import flight_text
 
     flight, run, found = part
-    health = health or memory.health_before(flight, options.battery)
     learned = memory.learn(flight, options.battery, options.pack, health)
     lines = flight_text.plain_lines if options.is_plain else flight_text.lines
     fields = flight_text.summary(flight, size, found, run, options.battery)

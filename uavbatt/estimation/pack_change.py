@@ -136,7 +136,7 @@ class SwapWatch(NamedTuple):
             return self._other(kept, silence)
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
         is_settled = now.seen_s - since_s > CHARGED_AFTER_S
-        settled_V = min(rested_V, self.settled_V) if self.settled_V == self.settled_V else rested_V
+        settled_V = min(rested_V, self.settled_V) if math.isfinite(self.settled_V) else rested_V
         return now._replace(
             silence=silence, rested_V=rested_V, rested_since_s=since_s, settled_V=settled_V if is_settled else NAN
         )

@@ -44,11 +44,12 @@ def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], li
         return [], []
     stack = observed.stack(flown)
     is_known = np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC)
-    begun_later = int(np.sum(~is_known))
-    if 2 * begun_later >= len(flown):
-        said = f"{begun_later} of {counted(len(flown), 'flight')} begin under load with about half the charge or less"
-        return flown, [f"{said}: their start is only guessed, record from before the take-off"]
-    return _without(flown, ~is_known, "under load", "a part of a flight, or a pack that was not full")
+    kept, words = _without(flown, ~is_known, "under load", "a part of a flight, or a pack that was not full")
+    if not words and not is_known.all():
+        begun_later = f"{int(np.sum(~is_known))} of {counted(len(flown), 'flight')}"
+        said = f"{begun_later} begin under load with about half the charge or less"
+        words = [f"{said}: their start is only guessed, record from before the take-off"]
+    return kept, words
 
 
 def alike_when_full(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:

@@ -55,8 +55,8 @@ def doubts_of_log(flight: Flight, size_bytes: int, now_utc_s: float) -> list[str
     lost, start_utc_s = flight.skipped_bytes / size_bytes, flight.identity.start_utc_s
     found = [f"{lost:.0%} of the log could not be read"] if lost > MUCH_LOST else []
     found += [future_words(start_utc_s)] if is_in_future(start_utc_s, now_utc_s) else []
-    several = len(of_discharges(flight))
-    found += [f"{several} flights in the log, the first is judged: `uavbatt replay` judges each"] if several > 1 else []
+    flights = len(of_discharges(flight))
+    found += [f"{flights} flights in the log, the first is judged: `uavbatt replay` judges each"] if flights > 1 else []
     return found
 
 

@@ -18,11 +18,8 @@ class ReplayedFlight(NamedTuple):
     outcome: Outcome
 
 
-def flights_of(whole: ReplayedFlight, cutoff_V: float, reserve_soc: float) -> list[ReplayedFlight]:
-    """Return each flight of a replayed log; the log as it is if it holds one discharge only.
-
-    cutoff_V : of the pack [V]; reserve_soc : charge that ends the flight, too
-    """
+def flights_of(whole: ReplayedFlight, cutoff_V: float) -> list[ReplayedFlight]:
+    """Return each flight of a replayed log, whose pack has this cut-off [V]; the log as it is if it holds one only."""
     parts = of_discharges(whole.flight)
     if len(parts) < 2:
         return [whole]
@@ -30,5 +27,5 @@ def flights_of(whole: ReplayedFlight, cutoff_V: float, reserve_soc: float) -> li
     for part in parts:
         first_s, last_s = part.samples[0].time_s, part.samples[-1].time_s
         run = [row for row in whole.run if first_s <= row.estimate.time_s <= last_s]
-        found.append(ReplayedFlight(part, run, outcome(run, cutoff_V, reserve_soc)))
+        found.append(ReplayedFlight(part, run, outcome(run, cutoff_V, whole.outcome.reserve_soc)))
     return found

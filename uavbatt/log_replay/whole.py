@@ -55,10 +55,8 @@ class Replay:
     @property
     def flights(self) -> tuple[Replay, ...]:
         """Return each flight of the log as a replay of its own: a changed or charged pack begins another one."""
-        if not self.flight.discharges:
-            return (self,)
         whole = ReplayedFlight(self.flight, list(self.steps), self.outcome)
-        parts = flights_of(whole, self.pack.cutoff_V, self.outcome.reserve_soc)
+        parts = flights_of(whole, self.pack.cutoff_V)
         return tuple(Replay(part.flight, self.pack, tuple(part.run), part.outcome) for part in parts)
 
     def __len__(self) -> int:

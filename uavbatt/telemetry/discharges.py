@@ -5,6 +5,8 @@ rest than the old one can reach by resting. A counter of charge that has begun a
 power, and then a smaller difference tells, upwards or downwards. So does another serial number of a smart battery. In a
 dock the autopilot speaks on while the pack is charged. A pack that goes on being discharged after a silence or a
 landing is the same discharge.
+
+In flight the model of the battery tells the same sooner (`estimation.pack_change`); a fit has no model yet.
 """
 
 from __future__ import annotations
@@ -30,6 +32,21 @@ DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 
 
+def later_discharges(
+    rows: Columns, told: Sequence[tuple[float, str]], stated: Sequence[tuple[float, str]]
+) -> tuple[tuple[float, str], ...]:
+    """Return when each later discharge of a log begins [s], with the serial of its pack; empty if nothing tells it.
+
+    told, stated : serials by the packs themselves, and by the parameters, which last; each with its time [s]
+    """
+    found = []
+    for begin_s, end_s in pairwise([*begins_s(rows, told), np.inf]):
+        of_pack = [serial for time_s, serial in told if begin_s <= time_s < end_s]
+        of_vehicle = [serial for time_s, serial in stated if time_s < end_s]
+        found.append((begin_s, (of_pack[:1] or of_vehicle[-1:] or [""])[0]))
+    return tuple(found)
+
+
 def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[float, ...]:
     """Return the times [s] at which another discharge begins than that of the log's first rows.
 
@@ -47,6 +64,62 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
     docked = _docked(rows, least_A)
     charged_s = [begin_s for landed_s, begin_s in docked if not any(landed_s < s <= begin_s for s in changed_s)]
     return tuple(sorted([*changed_s, *charged_s]))
+
+
+def of_discharges(flight: Flight) -> tuple[Flight, ...]:
+    """Return each discharge of a log with a flight in it, as a flight of its own; the whole log if it is one only.
+
+    Times stay those of the log.
+    """
+    if not flight.discharges:
+        return (flight,)
+    edges_s = [-np.inf, *(time_s for time_s, _ in flight.discharges), np.inf]
+    serials = [flight.identity.battery_serial, *(serial for _, serial in flight.discharges)]
+    found = [
+        _between(flight, begin_s, end_s, serial)
+        for (begin_s, end_s), serial in zip(pairwise(edges_s), serials, strict=True)
+    ]
+    least_A = loaded_A(np.array([sample.current_A for sample in flight.samples]))
+    flown = [part for part in found if _loaded_s(part, least_A) >= LEAST_LOADED_S]
+    if len(flown) < 2:
+        return (flight,) if not flown else (replace(flown[0], source=flight.source),)
+    names = (f"{flight.source}, flight {k} of {len(flown)}" for k in range(1, len(flown) + 1))
+    return tuple(replace(part, source=name) for part, name in zip(flown, names, strict=True))
+
+
+def discharge_notes(discharges: Sequence[tuple[float, str]]) -> list[str]:
+    """Return a note where a log holds later discharges, each with its beginning [s]."""
+    if not discharges:
+        return []
+    times = " and ".join(f"{time_s:.0f} s" for time_s, _ in discharges)
+    return [f"the pack was changed or charged before {times}: each flight is judged by itself"]
+
+
+def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Flight:
+    """Return the rows of a flight from one time to another [s], with what was known then."""
+    samples = tuple(sample for sample in flight.samples if begin_s <= sample.time_s < end_s)
+    began_s = samples[0].time_s if samples else NAN
+    who = flight.identity
+    if begin_s > -np.inf:  # what was said of the first pack and its start does not hold
+        start_utc_s = who.start_utc_s + began_s
+        who = replace(who, battery_serial=serial, battery_cycles=None, start_utc_s=start_utc_s)
+    return replace(
+        flight,
+        samples=samples,
+        discharges=(),
+        facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s < end_s),
+        navigation=tuple(known for known in flight.navigation if known.time_s < end_s),
+        duration_s=samples[-1].time_s - began_s if samples else 0.0,
+        identity=who,
+    )
+
+
+def _loaded_s(flight: Flight, least_A: float) -> float:
+    """Return how long a flight is under load [s]; infinite if no current tells."""
+    if not np.isfinite(least_A):
+        return np.inf
+    steps = pairwise(flight.samples)
+    return sum(min(b.time_s - a.time_s, SILENCE_S) for a, b in steps if a.current_A > least_A)
 
 
 def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
@@ -84,73 +157,3 @@ def _is_another(rows: Columns, end: int, least_A: float) -> bool:
         return ratio > most
     slack = 1.0 + RESTARTED * (most - 1.0)
     return not 1.0 / slack < ratio < slack
-
-
-def of_discharges(flight: Flight) -> tuple[Flight, ...]:
-    """Return each discharge of a log with a flight in it, as a flight of its own; the whole log if it is one only.
-
-    Times stay those of the log.
-    """
-    if not flight.discharges:
-        return (flight,)
-    edges_s = [-np.inf, *(time_s for time_s, _ in flight.discharges), np.inf]
-    serials = [flight.identity.battery_serial, *(serial for _, serial in flight.discharges)]
-    found = [
-        _between(flight, begin_s, end_s, serial)
-        for (begin_s, end_s), serial in zip(pairwise(edges_s), serials, strict=True)
-    ]
-    least_A = loaded_A(np.array([sample.current_A for sample in flight.samples]))
-    flown = [part for part in found if _loaded_s(part, least_A) >= LEAST_LOADED_S]
-    if len(flown) < 2:
-        return (flight,) if not flown else (replace(flown[0], source=flight.source),)
-    names = (f"{flight.source}, flight {k} of {len(flown)}" for k in range(1, len(flown) + 1))
-    return tuple(replace(part, source=name) for part, name in zip(flown, names, strict=True))
-
-
-def discharge_notes(discharges: Sequence[tuple[float, str]]) -> list[str]:
-    """Return a note where a log holds later discharges, each with its beginning [s]."""
-    if not discharges:
-        return []
-    times = " and ".join(f"{time_s:.0f} s" for time_s, _ in discharges)
-    return [f"the pack was changed or charged before {times}: each flight is judged by itself"]
-
-
-def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Flight:
-    """Return the rows of a flight from one time to another [s], with what was known then."""
-    samples = tuple(sample for sample in flight.samples if begin_s <= sample.time_s < end_s)
-    began_s = samples[0].time_s if samples else NAN
-    who = flight.identity
-    return replace(
-        flight,
-        samples=samples,
-        discharges=(),
-        facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s < end_s),
-        navigation=tuple(known for known in flight.navigation if known.time_s < end_s),
-        duration_s=samples[-1].time_s - began_s if samples else 0.0,
-        identity=who if begin_s == -np.inf else replace(
-            who, battery_serial=serial, battery_cycles=None, start_utc_s=who.start_utc_s + began_s
-        ),
-    )  # fmt: skip
-
-
-def _loaded_s(flight: Flight, least_A: float) -> float:
-    """Return how long a flight is under load [s]; infinite if no current tells."""
-    if not np.isfinite(least_A):
-        return np.inf
-    steps = pairwise(flight.samples)
-    return sum(min(b.time_s - a.time_s, SILENCE_S) for a, b in steps if a.current_A > least_A)
-
-
-def later_discharges(
-    rows: Columns, told: Sequence[tuple[float, str]], stated: Sequence[tuple[float, str]]
-) -> tuple[tuple[float, str], ...]:
-    """Return when each later discharge of a log begins [s], with the serial of its pack; empty if nothing tells it.
-
-    told, stated : serials by the packs themselves, and by the parameters, which last; each with its time [s]
-    """
-    found = []
-    for begin_s, end_s in pairwise([*begins_s(rows, told), np.inf]):
-        of_pack = [serial for time_s, serial in told if begin_s <= time_s < end_s]
-        of_vehicle = [serial for time_s, serial in stated if time_s < end_s]
-        found.append((begin_s, (of_pack[:1] or of_vehicle[-1:] or [""])[0]))
-    return tuple(found)

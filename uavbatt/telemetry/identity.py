@@ -51,14 +51,21 @@ def firmware_of(messages: Iterable[str]) -> str:
 
 def stated_serial(known: Mapping[str, float], instance: int) -> str:
     """Return a pack's serial by the vehicle's parameters; empty if they hold none."""
-    serial = known.get(ardupilot_prefix(instance) + "SERIAL_NUM", NAN)
-    return known_serial(f"{serial:.0f}") if serial > 0 else ""
+    return _as_serial(known.get(_serial_parameter(instance), NAN))
 
 
 def stated_serials(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[tuple[float, str]]:
     """Return the serials of a battery's packs by the vehicle's parameters, each with its time [s]."""
-    name = ardupilot_prefix(instance) + "SERIAL_NUM"
-    return [(time_s, stated_serial({name: value}, instance)) for time_s, said, value in parameters if said == name]
+    name = _serial_parameter(instance)
+    return [(time_s, _as_serial(value)) for time_s, said, value in parameters if said == name]
+
+
+def _serial_parameter(instance: int) -> str:
+    return ardupilot_prefix(instance) + "SERIAL_NUM"
+
+
+def _as_serial(value: float) -> str:
+    return known_serial(f"{value:.0f}") if value > 0 else ""
 
 
 def completed(

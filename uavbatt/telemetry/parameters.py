@@ -136,8 +136,9 @@ def capacity_notes(known: Mapping[str, float], instance: int) -> list[str]:
     """Return a note if the capacity by the parameters is ArduPilot's default, or not what the battery itself states."""
     of_ardupilot, own_mAh = ardupilot_prefix(instance) + "CAPACITY", _first(known, _of_pack(instance, "MAH"))
     is_untouched = known.get(of_ardupilot) == _UNTOUCHED_CAPACITY_MAH
-    if is_untouched and math.isnan(own_mAh):
-        return [f"{of_ardupilot} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"]
+    if math.isnan(own_mAh):
+        untouched = f"{of_ardupilot} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"
+        return [untouched] if is_untouched else []
     name = of_ardupilot if known.get(of_ardupilot, 0.0) > 0.0 else _px4_name(known, instance, "CAPACITY")
     stated_mAh = _first(known, name)
     if is_untouched or not abs(stated_mAh / own_mAh - 1.0) > _OTHER_CAPACITY:

@@ -1,4 +1,4 @@
-"""What smart batteries state of themselves in PX4 logs: serial, count of cycles, cells, capacity.
+"""Identity and size of smart batteries in PX4 logs: serial, count of cycles, cells, capacity.
 
 The serial is a number in `battery_status`; since PX4 1.16 it is a text, there or in `battery_info`, which has the id of
 the battery. 0 and 65535 mean that a number is not known.

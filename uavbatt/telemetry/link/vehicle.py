@@ -131,7 +131,7 @@ class Vehicle:
         if pack.serial or pack.cycles is not None:
             self.packs[pack.id] = pack
         for name, value in statements_of(pack):
-            self._state(name, value, frame)
+            self._take_statement(name, value, frame)
 
     def resume(self, earlier: Mapping[str, float]) -> None:
         """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
@@ -211,9 +211,9 @@ class Vehicle:
             self._unread = [*self._unread[-MOST_PARAMETERS:], (message, frame)]
             return
         name, value = fields.parameter(message, self.is_px4 is True)
-        self._state(name, value, frame)
+        self._take_statement(name, value, frame)
 
-    def _state(self, name: str, value: float, frame: bytes) -> None:
+    def _take_statement(self, name: str, value: float, frame: bytes) -> None:
         """Process a statement of a parameter or of a pack; those that count about battery and flight are recorded."""
         if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
             return
