@@ -1,11 +1,11 @@
 """Packs of another model that differ from what is stated: the forecasts and warnings, and how late they come.
 
-    python scripts/wrong_packs.py [--only estimator|mixed|live] [--quick] [--markdown FILE] [--flight NAME]
+    python scripts/wrong_packs.py [--only estimator|mixed|gauged|live] [--quick] [--markdown FILE] [--flight NAME]
 
 Flies small, worn, part-charged and mis-stated packs through the estimator, with the generic battery and with one fitted
-to healthy packs of the make (mixed: to packs of every age), and the faults of sensors, swaps and statements through the
-companion process. Reports, does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for
-docs/wrong_packs.md.
+to healthy packs of the make (mixed: to packs of every age; gauged: generic, of packs that say themselves what they
+hold), and the faults of sensors, swaps and statements through the companion process. Reports, does not judge. Tables go
+to stdout, progress to stderr; --markdown also writes them for docs/wrong_packs.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread
 from scoring.progress import progress
 from scoring.table import Table, show
 
-SECTIONS = ("estimator", "mixed", "live")
+SECTIONS = ("estimator", "mixed", "gauged", "live")
 EACH, EACH_QUICK, WORKERS = 6, 2, 2
 SHOWN_S, SHOWN_EVERY_S = 180.0, 5.0
 Given = TypeVar("Given")
@@ -54,6 +54,7 @@ def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
     each = EACH_QUICK if is_quick else EACH
     cases = wrong_cases.every(each) if "estimator" in sections else []
     cases += wrong_cases.mixed(each) if "mixed" in sections else []
+    cases += wrong_cases.gauged(each) if "gauged" in sections else []
     if cases:
         flown = list(_each(wrong_judged.judged, cases, say, "estimator"))
         made += [wrong_tables.issue(flown), wrong_tables.groups(flown), wrong_tables.worst(flown)]
@@ -77,7 +78,7 @@ def _one(name: str) -> int:
     """Return the lines of one flight through the estimator, by its name in the tables."""
     from scoring import wrong_cases, wrong_judged
 
-    cases = {case.name: case for case in wrong_cases.every(EACH) + wrong_cases.mixed(EACH)}
+    cases = {case.name: case for case in wrong_cases.every(EACH) + wrong_cases.mixed(EACH) + wrong_cases.gauged(EACH)}
     if name not in cases:
         print(f"wrong_packs: --flight {name}: expected one of {', '.join(cases)}", file=sys.stderr)
         return 2

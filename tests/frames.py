@@ -29,18 +29,18 @@ def battery_row(time_s: float, voltage_V: float, current_A: float, instance: int
     return frame(beat, time_s, system) + frame(status, time_s, system)
 
 
-def smart_info(capacity_mAh: int, cells: int, serial: bytes = b"A7", instance: int = 0) -> Any:
+def smart_info(capacity_mAh: int, cells: int, serial: bytes = b"A7", instance: int = 0, full_mAh: int = -1) -> Any:
     """A SMART_BATTERY_INFO: what a smart battery states of itself."""
     return dialect.MAVLink_smart_battery_info_message(
-        instance, 0, 1, capacity_mAh, -1, 12, serial, b"maker", 65535, 0, 0, 0, 0, cells, 0, 0, b""
+        instance, 0, 1, capacity_mAh, full_mAh, 12, serial, b"maker", 65535, 0, 0, 0, 0, cells, 0, 0, b""
     )
 
 
 def smart(
-    capacity_mAh: int, cells: int, time_s: float, serial: bytes = b"A7", instance: int = 0
+    capacity_mAh: int, cells: int, time_s: float, serial: bytes = b"A7", instance: int = 0, full_mAh: int = -1
 ) -> tuple[float, bytes]:
     """The same as a frame of a log, with the time at which it is sent [s]."""
-    return time_s, frame(smart_info(capacity_mAh, cells, serial, instance), time_s)
+    return time_s, frame(smart_info(capacity_mAh, cells, serial, instance, full_mAh), time_s)
 
 
 def hover(seconds: int, volts: float, amps: float, instance: int = 0, system: int = 1) -> list[tuple[float, bytes]]:

@@ -23,6 +23,7 @@ EMPTIEST_CELL_V = 3.0
 RESTING_SLACK_V = 0.2  # a cell that rests so far below its type's empty voltage is damaged
 ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # for a cut-off or a low-voltage warning
 CAPACITY_AH = (0.05, 500.0)
+LEAST_FULL_SHARE = 0.5  # a gauge that leaves less of its battery's capacity is of another one, or not calibrated
 AMBIENT_C = (-40.0, 60.0)
 # How crews charge packs and set cut-offs. A count of cells is guessed from the first voltage by these numbers.
 CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # full cell, its sd, its fall for each C of load
@@ -113,7 +114,7 @@ def cells_doubt(
         words = f"{_count(cells)} at {rested_V:.1f} V a cell at rest"
         if drawn_Ah > EMPTY_OVERDRAWN * capacity_Ah:
             drawn = f"{EMPTY_OVERDRAWN:g} times the stated {capacity_Ah:g} Ah were drawn since"
-            return Doubt(Notice(f"{words}, and {drawn}: another count", Kind.CELLS), True)
+            return Doubt(Notice(f"{words}, and {drawn}: another count, or LiFePO4 cells", Kind.CELLS), True)
         return Doubt(Notice(f"{words}: nearly empty, or another count", Kind.NEARLY_EMPTY), False)
     if first_V > FULLEST_CELL_V:
         words = f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count"

@@ -72,7 +72,8 @@ class PackFacts:
     """PackFacts holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
 
     Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
-    reports; temperature_of_escs: what it reports as the pack's temperature is that of the motor controllers.
+    reports; temperature_of_escs: what it reports as the pack's temperature is that of the motor controllers;
+    full_share: of that capacity, what the battery itself says that it holds today when full.
     """
 
     cells_series: int | None = None
@@ -81,6 +82,7 @@ class PackFacts:
     critical_voltage_V: float = NAN
     sag_compensated: bool | None = None
     temperature_of_escs: bool = False
+    full_share: float = 1.0
 
     @property
     def endings_V(self) -> tuple[float, ...]:
@@ -233,9 +235,7 @@ class Route:
     Attributes:
         load: the load to come that was used: `route`, `learned`, `unknown`, `recent`, `log` or `stated`.
         left_s: until touchdown at the route's end.
-        soc: charge at that touchdown, median.
-        soc_lo: 5 % point.
-        soc_hi: 95 % point.
+        soc, soc_lo, soc_hi: charge at that touchdown, median, 5 % and 95 % point.
         risk: probability that the end of flight comes before that touchdown.
         home_soc, home_soc_lo: charge at touchdown if the aircraft turned back now, median and 5 % point.
         turn_back_s: until the latest instant to turn back, median; 0 is now.

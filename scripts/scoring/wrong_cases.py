@@ -1,7 +1,8 @@
 """The flights of `wrong_packs.py`: packs that are not what is stated, drawn once and for all by fixed seeds.
 
 A generic battery meets any make at 0.4 to 2.5 times its ohms; a fitted one meets packs of the make that it was fitted
-to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age.
+to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age. A gauged
+one is a generic battery of a smart pack, whose gauge says what it holds today.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from scoring.other_pack import (
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 
-GENERIC, FITTED, MIXED = "generic", "fitted", "mixed"
+GENERIC, FITTED, MIXED, GAUGED = "generic", "fitted", "mixed", "gauged"
+GAUGE_SD = 0.05  # of what a gauge says, relative
 GUSTY = Power()
 CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
 CHARGES = (("full", 0.97, 1.0), ("part", 0.60, 0.93))
@@ -85,6 +87,7 @@ class Case:
     sensors: Sensors = ORDINARY
     seed: int = 3
     cutoff_V: float = CUTOFF_V
+    full_share: float = 1.0  # of the stated capacity, what the pack itself says that it holds
 
     @property
     def group(self) -> tuple[str, str, str]:
@@ -152,6 +155,21 @@ def mixed(each: int) -> list[Case]:
         replace(case, name=case.name.replace(FITTED, MIXED), battery=MIXED)
         for case in sampled(each)
         if case.battery == FITTED and case.sensors.current_gain == 1.0
+    ]
+
+
+def gauged(each: int) -> list[Case]:
+    """Return the worn packs of `sampled` with a true current, generic, that say themselves what they hold."""
+    dice = np.random.default_rng(31)
+    return [
+        replace(
+            case,
+            name=case.name.replace(GENERIC, GAUGED),
+            battery=GAUGED,
+            full_share=min(case.capacity_Ah / FULL_AH * math.exp(float(dice.normal(0.0, GAUGE_SD))), 1.0),
+        )
+        for case in sampled(each)
+        if case.battery == GENERIC and case.sensors.current_gain == 1.0 and case.capacity_class != CAPACITIES[-1][0]
     ]
 
 

@@ -12,7 +12,7 @@ from peers.columns import FloatArray
 
 from scoring.lines import Lines, ours
 from scoring.other_pack import CELLS, FULL_AH, Flown, Make
-from scoring.wrong_cases import GENERIC, Case, fitted
+from scoring.wrong_cases import GAUGED, GENERIC, Case, fitted
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
@@ -21,6 +21,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.voltage_bound import FALLS_FASTER
+from uavbatt.records import PackFacts
 
 PERIOD_S = 5.0
 BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)
@@ -64,20 +65,26 @@ class Judged:
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
     """Return a packaged battery by its name, the generic one of LiPo cells, or one fitted to the make."""
-    packaged = battery_file.GENERIC if name == GENERIC else name
+    packaged = battery_file.GENERIC if name in (GENERIC, GAUGED) else name
     return battery_file.read_battery(packaged) if packaged in battery_file.packaged() else fitted(make, name)
 
 
 def estimator(case: Case) -> Estimator:
     """Return a fresh estimator that is told what is stated of the pack."""
-    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=case.cutoff_V)
+    options = PackOptions(cells=CELLS, capacity_Ah=NAN if told(case) else FULL_AH, cutoff_V=case.cutoff_V)
     return Estimator(battery(case.battery, case.make), options, ForecastSettings(forecast_period_s=PERIOD_S))
+
+
+def told(case: Case) -> tuple[tuple[float, PackFacts], ...]:
+    """Return what a smart pack tells of itself from the first row on; nothing of another pack."""
+    facts = PackFacts(capacity_Ah=FULL_AH, full_share=case.full_share)
+    return ((0.0, facts),) if case.battery == GAUGED else ()
 
 
 def replayed(case: Case) -> tuple[Flown, list[ReplayedRow]]:
     """Return the flight, and every row of it through an estimator."""
     flown = case.flown()
-    return flown, list(steps(flown.flight(case.name), estimator(case)))
+    return flown, list(steps(replace(flown.flight(case.name), facts=told(case)), estimator(case)))
 
 
 def judged(case: Case) -> Judged:

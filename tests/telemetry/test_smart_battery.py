@@ -105,6 +105,14 @@ def test_a_px4_log_of_a_smart_battery(tmp_path: Path) -> None:
     assert of_another.identity.battery_serial == ""
 
 
+def test_the_health_in_a_px4_log(tmp_path: Path) -> None:
+    """PX4 tells it in per cent of the capacity; 0 is not known."""
+    for health, capacity_Ah in ((84, 13.44), (0, 16.0), (100, 16.0), (65535, 16.0)):
+        rows = [status_row(k, health, layout="H") for k in range(100)]
+        found = read_ulog(tmp_path, ulog(STATUS + "uint16_t state_of_health;", rows))
+        assert sized(found).capacity_Ah == pytest.approx(capacity_Ah)
+
+
 def test_serials_of_older_px4_logs(tmp_path: Path) -> None:
     number = [status_row(k, 4711, layout="H") for k in range(100)]
     found = read_ulog(tmp_path, ulog(STATUS + "uint16_t serial_number;", number))

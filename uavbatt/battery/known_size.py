@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, PackSize, counts_of_cells, resting, size_of_pack
-from uavbatt.battery.statements import PowerRange, Statements
+from uavbatt.battery.statements import NO_LOAD, PowerRange, Statements
 from uavbatt.limits import GUESSED_FROM, TOLD_FROM, Doubt, FirstVoltages, Resting, told_cells
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
 SURE_ROWS = 2  # the first one alone may be damaged
+GAUGE_STEP = 0.05  # of the rated capacity
 
 
 class KnownSize(NamedTuple):
@@ -46,7 +48,13 @@ class KnownSize(NamedTuple):
         return self.doubts[0].words if self.doubts and self.doubts[0].is_certain else ""
 
     def with_facts(self, facts: PackFacts) -> KnownSize:
-        """Return this with `facts`, what the vehicle says from now on; a size that was known is worked out anew."""
+        """Return this with `facts`, what the vehicle says from now on; a size that was known is worked out anew.
+
+        The gauge of a smart battery learns in flight: a small step of its capacity is no other pack.
+        """
+        is_flown, step = self.statements.current.load is not NO_LOAD, facts.full_share - self.facts.full_share
+        if is_flown and abs(step) < GAUGE_STEP:
+            facts = replace(facts, full_share=self.facts.full_share)
         updated = self._replace(facts=facts)
         return updated._with_counts()._with_size() if self.size is not None else updated
 

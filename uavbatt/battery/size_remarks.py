@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION, Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
-from uavbatt.limits import Doubt
+from uavbatt.limits import LEAST_FULL_SHARE, Doubt, FirstVoltages, capacity_doubt, ending_doubt
 from uavbatt.notice import Kind, Notice
+from uavbatt.records import NAN, PackFacts
 
+CAPACITY = "capacity of the vehicle,"
 SCALED_FAR = 1.5  # a capacity so many times that of the battery file is another pack's
 LEAST_LIPO_ENDING_V = 3.1  # of a cell: crews end LiPo flights at 3.2 to 3.6 V, lithium-ion ones at 2.5 to 3.1 V
 
@@ -14,6 +18,30 @@ LEAST_LIPO_ENDING_V = 3.1  # of a cell: crews end LiPo flights at 3.2 to 3.6 V, 
 def likely(doubts: list[Doubt | None]) -> tuple[str, ...]:
     """Return the words of the doubts that are likely but not certain."""
     return tuple(doubt.words for doubt in doubts if doubt is not None and not doubt.is_certain)
+
+
+def possible_facts(facts: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
+    """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
+    capacity = capacity_doubt(facts.capacity_Ah)
+    volts, name = facts.critical_voltage_V, "critical voltage of the vehicle, "
+    critical = ending_doubt(name, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
+    name = "low-voltage warning of the vehicle, "
+    low = ending_doubt(name, facts.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
+    if capacity is not None:
+        capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
+
+    def unless_impossible(value: float, doubt: Doubt | None) -> float:
+        return NAN if doubt is not None and doubt.is_certain else value
+
+    sound = replace(
+        facts,
+        capacity_Ah=unless_impossible(facts.capacity_Ah, capacity),
+        critical_voltage_V=unless_impossible(facts.critical_voltage_V, critical),
+        low_voltage_V=unless_impossible(facts.low_voltage_V, low),
+        full_share=facts.full_share if LEAST_FULL_SHARE <= facts.full_share <= 1.0 else 1.0,
+    )
+    doubts = [d for d in (capacity, critical, low) if d is not None]
+    return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
 
 
 def scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[str, ...]:

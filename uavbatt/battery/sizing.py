@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.size_remarks import likely, other_kind, scaled_far, uncertified
+from uavbatt.battery.size_remarks import CAPACITY, likely, other_kind, possible_facts, scaled_far, uncertified
 from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
@@ -39,8 +39,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
-CAPACITY = "capacity of the vehicle,"
-FROM_BATTERY_FILE = "battery file"  # the source of a number
+FROM_VEHICLE, FROM_BATTERY_FILE = "vehicle", "battery file"  # sources of a number
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 
@@ -82,6 +81,12 @@ class PackSize:
     notices: tuple[str, ...] = ()  # odd values, and statements that were not believed
     refusal: Notice | None = None  # why there can be no number for it
     fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
+    full_share: float = 1.0  # capacity_Ah as a share of the rated one: the battery says that it is worn
+
+    @property
+    def rated_Ah(self) -> float:
+        """Return the capacity of a new pack of this size [Ah]."""
+        return self.capacity_Ah / self.full_share
 
     @property
     def cell_kind(self) -> tuple[int, float, float]:
@@ -125,6 +130,8 @@ def size_of_pack(
         raise CapacityNotStated(why_not)
     facts, notices = possible_facts(facts, cells, voltages)
     capacity_Ah, capacity_from = _capacity(battery, options, facts)
+    full_share = facts.full_share if capacity_from == FROM_VEHICLE else 1.0
+    capacity_Ah *= full_share
     (cutoff_V, cutoff_from), (low_V, low_from) = _endings(battery.battery, options, facts, cells)
     doubts = _ending_doubts(options, cells, voltages)
     fullest_V = max(fullest_cell_V(rested_V, cells), options.fullest_cell_V)
@@ -144,6 +151,7 @@ def size_of_pack(
         notices=(*doubtful, *scaled_far(battery, cells, capacity_Ah), *other_kind(battery, cells, cutoff_V, fullest_V)),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), None),
         fullest_cell_V=fullest_V,
+        full_share=full_share,
     )
 
 
@@ -211,33 +219,10 @@ def resting(battery: BatteryFile) -> Resting:
     return Resting(max(empty_V - RESTING_SLACK_V, LOWEST_CELL_V), min(low_V, LITTLE_CELL_V))
 
 
-def possible_facts(facts: PackFacts, cells: int, voltages: FirstVoltages) -> tuple[PackFacts, tuple[str, ...]]:
-    """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
-    capacity = capacity_doubt(facts.capacity_Ah)
-    volts, name = facts.critical_voltage_V, "critical voltage of the vehicle, "
-    critical = ending_doubt(name, volts, cells, voltages.rested_V, Kind.CRITICAL_VOLTAGE)
-    name = "low-voltage warning of the vehicle, "
-    low = ending_doubt(name, facts.low_voltage_V, cells, kind=Kind.LOW_VOLTAGE)
-    if capacity is not None:
-        capacity = Doubt(Notice(f"{CAPACITY} {capacity.words}", Kind.CAPACITY_OF_VEHICLE), True)
-
-    def unless_impossible(value: float, doubt: Doubt | None) -> float:
-        return NAN if doubt is not None and doubt.is_certain else value
-
-    sound = replace(
-        facts,
-        capacity_Ah=unless_impossible(facts.capacity_Ah, capacity),
-        critical_voltage_V=unless_impossible(facts.critical_voltage_V, critical),
-        low_voltage_V=unless_impossible(facts.low_voltage_V, low),
-    )
-    doubts = [d for d in (capacity, critical, low) if d is not None]
-    return sound, tuple(Notice(f"{d.words}: not used", d.words.kind) if d.is_certain else d.words for d in doubts)
-
-
 def _capacity(battery: BatteryFile, options: PackOptions, facts: PackFacts) -> tuple[float, str]:
     """Return the capacity [Ah] and its source; `facts` holds the vehicle's statements that are believed."""
     stated, typed_Ah = (options.capacity_Ah, _by(options.names.capacity)), battery.battery.capacity_Ah
-    return _first(stated, (facts.capacity_Ah, "vehicle"), (typed_Ah, FROM_BATTERY_FILE))
+    return _first(stated, (facts.capacity_Ah, FROM_VEHICLE), (typed_Ah, FROM_BATTERY_FILE))
 
 
 def _endings(
@@ -247,12 +232,12 @@ def _endings(
     share = cells / typed.cells_series
     cutoff = _first(
         (options.cutoff_V, _by(options.names.cutoff)),
-        (facts.critical_voltage_V, "vehicle"),
+        (facts.critical_voltage_V, FROM_VEHICLE),
         (typed.cutoff_V * share, FROM_BATTERY_FILE),
     )
     low = _first(
         (options.low_V, _by(options.names.low)),
-        (facts.low_voltage_V, "vehicle"),
+        (facts.low_voltage_V, FROM_VEHICLE),
         (None if typed.low_V is None else typed.low_V * share, FROM_BATTERY_FILE),
         (NAN, "nobody"),
     )
@@ -282,7 +267,7 @@ def _cells(
         return int(guess[0]), guess[1], ()
     doubt = cells_doubt(facts.cells_series, voltages, cell)
     if doubt is None or not doubt.is_certain:
-        return facts.cells_series, "vehicle", ()
+        return facts.cells_series, FROM_VEHICLE, ()
     notice = f"the vehicle states {doubt.words}: not used, nor its critical voltage"
     return int(guess[0]), guess[1], (Notice(notice, Kind.CELLS_OF_VEHICLE),)
 

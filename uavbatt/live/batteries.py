@@ -248,7 +248,7 @@ class Batteries:
             tracked.remember(self._config.packs.name or said.serial, known.result())
         resolved = tracked.estimator.pack_size
         if resolved is not None:
-            keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.capacity_Ah)
+            keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.rated_Ah)
 
     def _read_resumption(self, now_s: float) -> Resumption:
         """Return the state that an earlier process has left for this one."""

@@ -43,7 +43,7 @@ class BatteryFields:
 class PackIdentity:
     """PackIdentity holds what one pack states of itself: serial, its own count of cycles, cells and rated capacity.
 
-    What it does not state is empty, None or NaN.
+    What it does not state is empty, None or NaN. full_Ah : what it holds today when full, by its own gauge [Ah].
     """
 
     id: int
@@ -51,23 +51,27 @@ class PackIdentity:
     cycles: int | None = None
     cells: int | None = None
     capacity_Ah: float = math.nan
+    full_Ah: float = math.nan
 
 
 class _Layout(NamedTuple):
-    """_Layout holds where a payload has id, cycles, cells, serial and rated capacity, and how many of it are 1 Ah."""
+    """_Layout holds where a payload has id, cycles, cells, serial and capacities, and how many of these are 1 Ah.
+
+    capacities : the rated one and that of today, one behind the other from `capacities_at` on.
+    """
 
     id: int
     cycles: int
     cells: int
     serial: slice
-    capacity: struct.Struct
-    capacity_at: int
+    capacities: struct.Struct
+    capacities_at: int
     per_Ah: float
 
 
 _LAYOUTS = {
-    SMART_BATTERY_INFO: _Layout(18, 8, 89, slice(21, 37), struct.Struct("<i"), 0, 1000.0),
-    BATTERY_INFO: _Layout(44, 40, 48, slice(58, 90), struct.Struct("<f"), 32, 1.0),
+    SMART_BATTERY_INFO: _Layout(18, 8, 89, slice(21, 37), struct.Struct("<2i"), 0, 1000.0),
+    BATTERY_INFO: _Layout(44, 40, 48, slice(58, 90), struct.Struct("<2f"), 32, 1.0),
 }
 IDENTITY_LENGTH = {SMART_BATTERY_INFO: 109, BATTERY_INFO: 140}  # whole payloads
 IDENTITY_EXTRA = {SMART_BATTERY_INFO: 75, BATTERY_INFO: 26}  # seeds of their checksums
@@ -82,13 +86,13 @@ def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
     at = _LAYOUTS[message_id]
     whole = payload.ljust(IDENTITY_LENGTH[message_id], b"\0")
     cycles = int.from_bytes(whole[at.cycles : at.cycles + 2], "little")
-    (capacity,) = at.capacity.unpack_from(whole, at.capacity_at)
+    stated = at.capacities.unpack_from(whole, at.capacities_at)
     return PackIdentity(
         whole[at.id],
         known_serial(whole[at.serial].split(b"\0")[0].decode("latin-1")),
         None if cycles in (0, 65535) else cycles,
         whole[at.cells] or None,
-        capacity / at.per_Ah if 0.0 < capacity < math.inf else math.nan,
+        *(capacity / at.per_Ah if 0.0 < capacity < math.inf else math.nan for capacity in stated),
     )
 
 

@@ -27,7 +27,7 @@ from uavbatt.packs.evidence import evidence_of_flight
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import NAN, Estimate, Flight, Sample
+from uavbatt.records import NAN, Estimate, Flight, PackFacts, Sample
 from uavbatt.telemetry.quality.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
@@ -85,7 +85,7 @@ def flight_for_ledger(
         return FlightForLedger(None, "no current was measured")
     if last_loaded is None:
         return FlightForLedger(None, f"less than {LEAST_LOADED_S:.0f} s under load")
-    facts = flight.facts_at(math.inf)
+    facts = _rated_facts(flight)
     if facts.sag_compensated:
         return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
     size = _size(battery, options, flight, rows)
@@ -136,7 +136,12 @@ def _metered(flight: Flight) -> list[Sample]:
 
 def _size(battery: BatteryFile, options: PackOptions, flight: Flight, rows: Sequence[Sample]) -> PackSize:
     """Return the size of the pack by these rows and by what the vehicle has stated at the end of the flight."""
-    return size_from_rows(battery, options, replace(flight, samples=tuple(rows)), flight.facts_at(math.inf))
+    return size_from_rows(battery, options, replace(flight, samples=tuple(rows)), _rated_facts(flight))
+
+
+def _rated_facts(flight: Flight) -> PackFacts:
+    """Return what the vehicle states at the end, of a new pack: the ledger measures what is left of one by itself."""
+    return replace(flight.facts_at(math.inf), full_share=1.0)
 
 
 def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:

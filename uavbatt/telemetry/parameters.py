@@ -6,7 +6,8 @@ instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used
 
 A smart battery states its size itself (SMART_BATTERY_INFO, BATTERY_INFO, battery_status of PX4). That is kept like a
 parameter of the vehicle, under the names BATTERY0_CELLS and BATTERY0_MAH. It counts where no parameter states the size,
-or only ArduPilot's default.
+or only ArduPilot's default. BATTERY0_FULL_MAH is what the gauge of a smart battery says that it holds today: less than
+is stated counts always, because packs wear.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from uavbatt.limits import LEAST_FULL_SHARE
 from uavbatt.mavlink.fields import PackIdentity
 from uavbatt.records import NAN, PackFacts
 
@@ -95,7 +97,7 @@ def is_of_pack(name: str) -> bool:
 def in_words(name: str) -> str:
     """Return the name of a statement in words: a parameter's own, or what a battery says of itself."""
     number, _, what = name.removeprefix(_OF_PACK).partition("_")
-    said = {"CELLS": "cells", "MAH": "capacity [mAh]"}
+    said = {"CELLS": "cells", "MAH": "capacity [mAh]", "FULL_MAH": "capacity of today [mAh]"}
     return f"what battery {number} says of its {said[what]}" if is_of_pack(name) and what in said else name
 
 
@@ -106,6 +108,8 @@ def statements_of(pack: PackIdentity) -> list[tuple[str, float]]:
         stated.append((_of_pack(pack.id, "CELLS"), float(pack.cells)))
     if pack.capacity_Ah > 0.0:
         stated.append((_of_pack(pack.id, "MAH"), 1000.0 * pack.capacity_Ah))
+    if pack.full_Ah > 0.0:
+        stated.append((_of_pack(pack.id, "FULL_MAH"), 1000.0 * pack.full_Ah))
     return stated
 
 
@@ -133,6 +137,19 @@ def facts_timeline(
 
 
 def capacity_notes(known: Mapping[str, float], instance: int) -> list[str]:
+    """Return notes about the capacity: of a worn battery by its own gauge, and where parameters and battery differ."""
+    return [*_worn_notes(known, instance), *_rated_notes(known, instance)]
+
+
+def _worn_notes(known: Mapping[str, float], instance: int) -> list[str]:
+    """Return a note if the battery itself says that it holds less than its capacity."""
+    if _full_share(known, instance) == 1.0:
+        return []
+    full_mAh, rated_mAh = known[_of_pack(instance, "FULL_MAH")], _rated_mAh(known, instance)
+    return [f"the battery itself says that it holds {full_mAh:.0f} of {rated_mAh:.0f} mAh when full: that counts"]
+
+
+def _rated_notes(known: Mapping[str, float], instance: int) -> list[str]:
     """Return a note if the capacity by the parameters is ArduPilot's default, or not what the battery itself states."""
     of_ardupilot, own_mAh = ardupilot_prefix(instance) + "CAPACITY", _first(known, _of_pack(instance, "MAH"))
     is_untouched = known.get(of_ardupilot) == _UNTOUCHED_CAPACITY_MAH
@@ -159,10 +176,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
     prefix = ardupilot_prefix(instance)
     cells = _first(known, _px4_name(known, instance, "N_CELLS"), _of_pack(instance, "CELLS"))
     empty_V = _first(known, _px4_name(known, instance, "V_EMPTY"))
-    capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
-    if math.isnan(capacity_mAh) or capacity_mAh == _UNTOUCHED_CAPACITY_MAH:
-        is_sum = known.get(prefix + "MONITOR") == SUM_OF_OTHERS
-        capacity_mAh = _summed_mAh(known, instance) if is_sum else known.get(_of_pack(instance, "MAH"), capacity_mAh)
+    capacity_mAh = _rated_mAh(known, instance)
     low_names = [prefix + "LOW_VOLT"] + (["FS_BATT_VOLTAGE"] if instance == 0 else [])
     critical_V = _first(known, prefix + "CRT_VOLT")
     options = known.get(prefix + "OPTIONS")
@@ -173,7 +187,24 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
         critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,
         sag_compensated=None if options is None else is_telemetry and _has_bit(options),
         temperature_of_escs=known.get(prefix + "MONITOR") == ESCS,
+        full_share=_full_share(known, instance),
     )
+
+
+def _rated_mAh(known: Mapping[str, float], instance: int) -> float:
+    """Return the capacity of a new pack [mAh]: by the parameters, else by what the battery itself states."""
+    prefix = ardupilot_prefix(instance)
+    capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
+    if not math.isnan(capacity_mAh) and capacity_mAh != _UNTOUCHED_CAPACITY_MAH:
+        return capacity_mAh
+    is_sum = known.get(prefix + "MONITOR") == SUM_OF_OTHERS
+    return _summed_mAh(known, instance) if is_sum else known.get(_of_pack(instance, "MAH"), capacity_mAh)
+
+
+def _full_share(known: Mapping[str, float], instance: int) -> float:
+    """Return what the battery says that it holds today, as a share of the rated capacity; 1 where it says nothing."""
+    share = _first(known, _of_pack(instance, "FULL_MAH")) / _rated_mAh(known, instance)
+    return share if share >= LEAST_FULL_SHARE and share < 1.0 else 1.0
 
 
 def _summed_mAh(known: Mapping[str, float], instance: int) -> float:

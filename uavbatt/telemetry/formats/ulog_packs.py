@@ -26,7 +26,8 @@ def packs(ulog: Any) -> Iterator[tuple[int, PackIdentity]]:
             data = topic.data
             number = _number(data, "serial_number")
             texts = (_text(data), serials.get(_first(data, "id"), ""), "" if number is None else f"{number}")
-            capacity_mAh = _number(data, "capacity")
+            capacity_mAh, health = _number(data, "capacity"), _number(data, "state_of_health")
+            capacity_Ah = NAN if capacity_mAh is None else capacity_mAh / 1000.0
             yield (
                 int(data["timestamp"][0]),
                 PackIdentity(
@@ -34,7 +35,8 @@ def packs(ulog: Any) -> Iterator[tuple[int, PackIdentity]]:
                     known_serial(next(filter(None, texts), "")),
                     _number(data, "cycle_count"),
                     _number(data, "cell_count"),
-                    NAN if capacity_mAh is None else capacity_mAh / 1000.0,
+                    capacity_Ah,
+                    NAN if health is None else capacity_Ah * health / 100.0,
                 ),
             )
 
