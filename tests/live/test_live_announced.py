@@ -26,6 +26,7 @@ from uavbatt.live.config import FeedSection
 from uavbatt.live.report import Report
 from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.live.web import content
+from uavbatt.mavlink.outgoing import SEVERITY_CRITICAL, SEVERITY_WARNING
 from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.prediction import forecaster, voltage_bound
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -209,6 +210,15 @@ def test_an_alarm_is_sent_three_times_with_the_time_as_it_is_then() -> None:
     said = heard(Announcer(0, (300.0, 120.0)), [310.0 - k for k in range(230)])
     left = [(10, "5:00"), (190, "2:00"), (195, "1:55"), (205, "1:45")]
     assert said == [(k, f"Battery 0: {words} min left at worst") for k, words in left]
+
+
+def test_the_last_minute_and_a_half_is_critical() -> None:
+    """Stations read a critical text aloud."""
+    announcer = Announcer(0, (300.0, 120.0, 60.0))
+    said = []
+    for k, left_s in enumerate((310.0, 299.0, 119.0, 59.0)):
+        said += announcer.texts(20.0 * k, report(left_s, at_s=20.0 * k), True)
+    assert [severity for severity, _ in said] == [SEVERITY_WARNING, SEVERITY_WARNING, SEVERITY_CRITICAL]
 
 
 def test_an_alarm_that_holds_no_more_is_not_sent_again() -> None:
