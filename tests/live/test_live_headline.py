@@ -69,6 +69,18 @@ def test_a_battery_that_gives_nothing_does_not_wait_for_take_off() -> None:
     assert heard == ["Battery 0: gives nothing, another has the load"]
 
 
+def test_a_row_without_a_current_is_not_a_battery_that_gives_nothing() -> None:
+    headline, since_s = Headline(), []
+    for k in range(10):
+        one, other = (
+            report(0, 400.0, 0.0 if k in (2, *range(4, 10)) else 12.0, float(k)),
+            report(1, 300.0, at_s=float(k)),
+        )
+        headline.in_order({0: one, 1: other}, float(k))
+        since_s += [k] if headline.notes else []
+    assert since_s == [7, 8, 9]  # for three seconds
+
+
 def test_a_battery_alone_that_is_charged_by_braking_motors_is_not_said_to_give_nothing() -> None:
     headline = Headline()
     for k in range(20):
