@@ -18,6 +18,7 @@ from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
     GRID_S,
+    NOW_BLOCKS,
     OWN_SCALING,
     OWN_SPREAD,
     LearnedLoad,
@@ -338,11 +339,32 @@ def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
 
 def test_what_is_no_payload_taken_up_changes_nothing() -> None:
     assert told(1.35, 2) == 0  # a climb of a minute
-    assert told(1.15, 10) == 0
+    assert told(1.15, 10, scatter=0.06) == 0
     assert told(0.7, 10) == 0  # less power may be a long descent
     assert told(1.35, 5, scatter=0.3) == 0  # a flight unlike the past ones
     assert told(1.35, 3, blocks=6) == 0  # too little was flown before it
     assert changed_blocks(np.empty(0), np.empty((3, 0))) == 0
+
+
+def rising(rise: float, scatter: float = 0.0, blocks: int = 20) -> int:
+    """What is found in a flight that has needed more and more, among past ones that swing alike."""
+    dice, swing = np.random.default_rng(4), 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
+    own_W = swing * np.exp(np.linspace(0.0, rise, blocks) + scatter * dice.standard_normal(blocks))
+    return changed_blocks(own_W, np.stack([0.95 * swing, swing, 1.05 * swing]))
+
+
+def test_ice_and_a_wind_that_freshens_are_a_steady_rise() -> None:
+    assert rising(0.25) == rising(0.25, scatter=0.04) == rising(0.12, blocks=10) == NOW_BLOCKS
+    assert rising(0.06) == rising(-0.25) == rising(0.25, blocks=6) == 0
+    assert rising(0.1, scatter=0.08) == 0
+
+
+def test_a_flight_that_has_needed_more_and_more_goes_on_as_in_its_last_two_minutes() -> None:
+    """At half time of a flight that rose by half, the lower end was 45 s too long, and nine seconds at two minutes."""
+    load = library(*[past([300.0] * 180)] * FEW_FLIGHTS)
+    pieces = flown(*np.linspace(300.0, 400.0, 120).tolist())
+    point = FlightPoint(600.0, 600.0, 0.5, 350.0, RecentLoad(600.0, 392.0, 400.0, pieces))
+    assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, FEW_FLIGHTS), 390.0), rel=0.02)
 
 
 def test_a_flight_that_needs_more_since_a_step_goes_on_so() -> None:
