@@ -1,4 +1,4 @@
-"""The lessons of flown legs: a regression of two numbers, a wind of a minute, a level with its uncertainty."""
+"""The lessons of flown legs: a regression of two numbers, and a wind of a minute."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from route_rig import POWERS
 
-from uavbatt.battery.powers import UNKNOWN
 from uavbatt.navigation import Wind
-from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, SHORT_LEG_S, FlightLessons, Timing
+from uavbatt.prediction.flight_lessons import SHORT_LEG_S, FlightLessons, Timing
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 
 SPEED_MS = 5.0
@@ -80,48 +78,3 @@ def test_the_wind_is_averaged_over_a_minute_whatever_the_rows_are(row_s: float) 
         lessons = lessons.with_wind(Wind(6.0, 4.0), row_s)
     assert lessons.wind == pytest.approx((6.0 * (1.0 - math.exp(-1.0)), 4.0))
     assert lessons.with_wind(None, row_s) is lessons
-
-
-def test_the_level_goes_from_the_prior_to_what_was_flown_and_forgets() -> None:
-    fresh = FlightLessons()
-    assert fresh.level(POWERS) == (1.0, POWERS.level_sd)
-    long_flown, sds = fresh, []
-    for _ in range(300):
-        long_flown = long_flown.with_power_ratio(1.2, 1.0)
-        sds.append(long_flown.level(POWERS)[1])
-    assert 1.1 < long_flown.level(POWERS)[0] < 1.2  # the law of the powers may be off by as much
-    assert all(after <= before for before, after in zip([POWERS.level_sd, *sds], sds, strict=False))
-    changed = long_flown
-    for _ in range(round(3.0 * LEVEL_TAU_S)):
-        changed = changed.with_power_ratio(0.9, 1.0)
-    assert 0.9 < changed.level(POWERS)[0] < 0.95
-
-
-@pytest.mark.parametrize("after", [1.35, 0.7])
-def test_a_payload_changed_in_flight_is_known_after_two_minutes(after: float) -> None:
-    """It was averaged away: eight minutes after 35 % more power the time left was a quarter too long."""
-    lessons = FlightLessons()
-    for second in range(500):
-        lessons = lessons.with_power_ratio(1.0 + 0.02 * math.sin(second / 5.0), 1.0, 0.03)
-    for _ in range(120):
-        lessons = lessons.with_power_ratio(after, 1.0, 0.03)
-    mean = lessons.level_sum_s / lessons.level_s
-    assert mean == pytest.approx(after, abs=0.09)
-
-
-def test_gusts_and_a_front_change_no_payload() -> None:
-    """12 % for two minutes, and noisy rows: what was flown before still counts."""
-    lessons, dice = FlightLessons(), np.random.default_rng(1)
-    for second in range(620):
-        ratio = (1.12 if second > 500 else 1.0) * math.exp(0.1 * dice.standard_normal())
-        lessons = lessons.with_power_ratio(ratio, 1.0, 0.1)
-    assert lessons.level_s > 300.0
-    assert lessons.level_sum_s / lessons.level_s < 1.05
-
-
-def test_an_unknown_aircraft_has_no_level_before_it_has_flown_a_while() -> None:
-    lessons = FlightLessons()
-    for second in range(40):
-        assert math.isfinite(lessons.level(UNKNOWN)[0]) is (second > 20)
-        lessons = lessons.with_power_ratio(1.3, 1.0)
-    assert lessons.level(UNKNOWN)[0] == pytest.approx(1.3)

@@ -18,13 +18,13 @@ from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
     GRID_S,
-    NOW_BLOCKS,
     OWN_SCALING,
     OWN_SPREAD,
     LearnedLoad,
     UnknownAircraft,
     changed_blocks,
     learned_load,
+    more_than_past,
 )
 from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
 
@@ -329,7 +329,7 @@ def told(step: float, since: int, scatter: float = 0.0, blocks: int = 20) -> int
     swing = 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
     own_W = swing * np.exp(scatter * dice.standard_normal(blocks))
     own_W[blocks - since :] *= step
-    return changed_blocks(own_W, np.stack([0.95 * swing, swing, 1.05 * swing]))
+    return changed_blocks(more_than_past(own_W, np.stack([0.95 * swing, swing, 1.05 * swing])))
 
 
 def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
@@ -339,24 +339,11 @@ def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
 
 def test_what_is_no_payload_taken_up_changes_nothing() -> None:
     assert told(1.35, 2) == 0  # a climb of a minute
-    assert told(1.15, 10, scatter=0.06) == 0
+    assert told(1.15, 10) == 0
     assert told(0.7, 10) == 0  # less power may be a long descent
     assert told(1.35, 5, scatter=0.3) == 0  # a flight unlike the past ones
     assert told(1.35, 3, blocks=6) == 0  # too little was flown before it
-    assert changed_blocks(np.empty(0), np.empty((3, 0))) == 0
-
-
-def rising(rise: float, scatter: float = 0.0, blocks: int = 20) -> int:
-    """What is found in a flight that has needed more and more, among past ones that swing alike."""
-    dice, swing = np.random.default_rng(4), 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
-    own_W = swing * np.exp(np.linspace(0.0, rise, blocks) + scatter * dice.standard_normal(blocks))
-    return changed_blocks(own_W, np.stack([0.95 * swing, swing, 1.05 * swing]))
-
-
-def test_ice_and_a_wind_that_freshens_are_a_steady_rise() -> None:
-    assert rising(0.25) == rising(0.25, scatter=0.04) == rising(0.12, blocks=10) == NOW_BLOCKS
-    assert rising(0.06) == rising(-0.25) == rising(0.25, blocks=6) == 0
-    assert rising(0.1, scatter=0.08) == 0
+    assert changed_blocks(np.empty(0)) == 0
 
 
 def test_a_flight_that_has_needed_more_and_more_goes_on_as_in_its_last_two_minutes() -> None:

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from functools import cache
 
-import msgspec
 import numpy as np
 import pytest
 from factories import generic_pack, with_spread
@@ -32,7 +31,7 @@ from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction import flight_lessons
 from uavbatt.prediction.batch import end_times
-from uavbatt.prediction.flight_lessons import LEVEL_TAU_S, MODEL_SD, FlightLessons
+from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import LearnedLoad
@@ -436,25 +435,3 @@ def test_an_aircraft_that_stands_at_home_has_no_way_home_left() -> None:
     ]
     estimate, remaining = run(estimator, landed)[-1]
     assert remaining.route is not None and remaining.route.home_soc > estimate.soc - 0.05
-
-
-def test_what_was_flown_before_a_payload_was_taken_up_counts_less() -> None:
-    """Half a flight of 1.0 and half of 1.2: the level is nearer to the later one, for all that is expected of 1.0."""
-    level = FlightLessons()
-    for ratio in (1.0, 1.2):
-        for _ in range(900):
-            level = level.with_power_ratio(ratio, 1.0)
-    assert 1.12 < level.level(POWERS)[0] < 1.2
-
-
-def test_a_long_flight_tells_its_level_as_well_as_its_rows_allow() -> None:
-    """Older rows count less: the sd of the mean is that of independent rows with these weights."""
-    lessons, noise = FlightLessons(), np.random.default_rng(3)
-    seconds = 3600
-    ages_s = np.arange(seconds)
-    weights = np.exp(-ages_s / LEVEL_TAU_S)
-    means = noise.normal(0.0, 1.0, (4000, seconds // 16)) @ weights[::16] / weights[::16].sum()  # alike for 16 s
-    for _ in ages_s:
-        lessons = lessons.with_power_ratio(1.0, 1.0)
-    powers = msgspec.structs.replace(POWERS, level_sd=2.0, row_sd=0.1)
-    assert lessons.level(powers)[1] == pytest.approx(math.hypot(MODEL_SD, 0.1 * means.std()), rel=0.05)

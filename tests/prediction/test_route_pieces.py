@@ -150,7 +150,7 @@ def test_the_power_of_a_turn_tells_no_payload() -> None:
             position = Position(float(k), HOME.lat_deg, HOME.lon_deg, 30.0, 2.0 * (k % 20) if turns else 8.0, 0.0, 0.0)
             known = replace(flying(Mode.MANUAL), position=position)
             progress = progress.after(float(k), known, turning_W if turns else 160.0, POWERS)
-        return progress.lessons.level(POWERS)[0]
+        return progress.lessons.power.level(POWERS)[0]
 
     assert level(300.0) == pytest.approx(level(160.0), abs=1e-6)
 

@@ -99,9 +99,9 @@ def test_an_airspeed_beyond_the_learned_ones_teaches_the_power_there_and_not_the
     """Legs at 18 m/s, of an aircraft known up to 12 m/s, made the level 1.3: the survey after them asked too much."""
     assert POWERS.fastest_ms is not None and 10.0 < POWERS.fastest_ms < 20.0
     slow, fast = taught(10.0, 1.3), taught(20.0, 1.3)
-    assert slow.level(POWERS)[0] == pytest.approx(1.26, abs=0.04)
+    assert slow.power.level(POWERS)[0] == pytest.approx(1.26, abs=0.04)
     assert slow.excess_beyond(POWERS) == 0.0
-    assert fast.level(POWERS)[0] == 1.0
+    assert fast.power.level(POWERS)[0] == 1.0
     at_20_ms = float(beyond_learned(POWERS, np.array(20.0)))
     assert math.exp(fast.excess_beyond(POWERS) * at_20_ms) == pytest.approx(1.3, abs=0.04)
 
@@ -115,11 +115,11 @@ def test_a_velocity_that_the_places_deny_teaches_nothing() -> None:
         progress = progress.after(float(k), right if k % 20 > 3 else seen(float(k), 5.0 * k, 20.0), asked_W, POWERS)
         told = told.after(float(k), right, asked_W, POWERS)
     assert progress.lessons.excess_beyond(POWERS) == 0.0
-    assert progress.lessons.level(POWERS)[0] == pytest.approx(told.lessons.level(POWERS)[0], abs=0.01)
+    assert progress.lessons.power.level(POWERS)[0] == pytest.approx(told.lessons.power.level(POWERS)[0], abs=0.01)
 
 
 def test_an_unknown_aircraft_that_flies_fast_at_once_has_a_level() -> None:
-    level, _ = taught(20.0, 150.0, UNKNOWN).level(UNKNOWN)  # its hover power is 1 W
+    level, _ = taught(20.0, 150.0, UNKNOWN).power.level(UNKNOWN)  # its hover power is 1 W
     assert 100.0 < level < 200.0
 
 

@@ -5,9 +5,8 @@ Two things lengthen a leg beyond its plan: a stretch of its time and the speedin
     t = s t_plan + e v        s ~ 1.03 +- 0.1, e ~ 0.32 +- 0.12 s per m/s, before a leg was flown
 
 and each flown leg improves both (Bayesian linear regression of two numbers), separately for short legs, of which the
-corners are the main part, and for long ones. The power level is the flown power over that of the vehicle's `[powers]`:
-it shows an undeclared payload. It begins anew where the last 45 s differ from it by more than flights ever do:
-a payload was taken up or set down. Beyond the learned airspeeds the flight teaches how much more power it asks there.
+corners are the main part, and for long ones. The power level (`power_level`) shows an undeclared payload. Beyond the
+learned airspeeds the flight teaches how much more power it asks there.
 Some autopilots climb along the whole leg, others at once and then fly on level; the latter asks more power for a
 shorter time, which ends flights.
 """
@@ -23,6 +22,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import MOST_BEYOND, Powers, beyond_learned, level_of, power
 from uavbatt.navigation import Wind
+from uavbatt.prediction.power_level import LEVEL_TAU_S, PowerLevel, mean_of_rows
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.records import NAN
 
@@ -34,12 +34,6 @@ WIND_TAU_S = 60.0
 # Of a component of the wind for a whole flight: of the autopilot's estimate (against the true power of eight flights),
 # and where there is none.
 WIND_SD_MS, UNTOLD_WIND_SD_MS = 0.5, 3.5
-POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
-LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
-# A payload changed in flight: the power of the last 45 s against the level before, relatively. In 12 simulated missions
-# without a change, with gusts and a front, they were 6 % apart at most, in 40 real ones 25 %: their rows are noisy, so
-# that the noise of such a mean counts, too. With 6 sd some of those flights were taken for changed ones.
-RECENT_TAU_S, CHANGED, CHANGED_SDS = 45.0, 0.18, 7.0
 # Error of the power at high airspeed by the wind estimate (that of 1 m/s), and of the law of the drag where the drag
 # power is twice what was learned.
 WIND_SD, EXCESS_SD = 0.05, 0.15
@@ -96,25 +90,21 @@ class FlightLessons(NamedTuple):
     long: Timing = Timing()
     wind_north_ms: float = NAN
     wind_east_ms: float = NAN
-    level_s: float = 0.0  # seconds of flight that told the level, older ones counted less
-    level_sum_s: float = 0.0  # flown over modelled power, summed over them
+    power: PowerLevel = PowerLevel()
     climbed_first_s: float = 0.0  # seconds in which the height was ahead of the distance, as if it climbed first
     climbed_along_s: float = 0.0  # seconds in which it was not
     beyond_s: float = 0.0  # seconds of flight beyond the learned airspeeds, older ones counted less
     beyond_sum_s: float = 0.0  # how far beyond (`powers.beyond_learned`), summed over them
     excess_sum_s: float = 0.0  # ln of flown over modelled power, summed over them
-    recent_s: float = 0.0  # as `level_s`, of the last 45 s
-    recent_sum_s: float = 0.0  # as `level_sum_s`, of the last 45 s
 
     @property
     def is_possible(self) -> bool:
         """Return True if a flight can have taught this: a saved file may hold anything."""
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
-        summed = (self.level_s, self.level_sum_s, self.climbed_first_s, self.climbed_along_s, self.beyond_sum_s,
-                  self.recent_s, self.recent_sum_s)  # fmt: skip
+        summed = (self.climbed_first_s, self.climbed_along_s, self.beyond_sum_s)
         most_s = self.beyond_s * (1.0 + ROUNDING)
         beyond = self.beyond_sum_s <= MOST_BEYOND * most_s and abs(self.excess_sum_s) <= MOST_EXCESS * most_s
-        return timed and beyond and all(value >= 0.0 for value in summed)
+        return timed and beyond and self.power.is_possible and all(value >= 0.0 for value in summed)
 
     @property
     def climbs_first(self) -> bool:
@@ -177,9 +167,9 @@ class FlightLessons(NamedTuple):
         its error there must not count as a payload: it is learned by itself. While the level is not known at all, also
         such a row counts for the level.
         """
-        beyond, (level, _) = float(beyond_learned(powers, np.asarray(airspeed_ms))), self.level(powers)
+        beyond, (level, _) = float(beyond_learned(powers, np.asarray(airspeed_ms))), self.power.level(powers)
         if not beyond > 0.0 or not 0.0 < level < math.inf:
-            return self.with_power_ratio(level_of(powers, columns, power_W), told_s, powers.row_sd)
+            return self._replace(power=self.power.after(level_of(powers, columns, power_W), told_s, powers.row_sd))
         kept = math.exp(-told_s / LEVEL_TAU_S)
         excess = min(max(math.log(power_W / float(power(powers, columns, level))), -MOST_EXCESS), MOST_EXCESS)
         return self._replace(
@@ -196,24 +186,8 @@ class FlightLessons(NamedTuple):
         if not self.beyond_s > 0.0:
             return 0.0
         beyond, excess = self.beyond_sum_s / self.beyond_s, self.excess_sum_s / self.beyond_s
-        noise = powers.row_sd**2 * _mean_of_rows(self.beyond_s) + WIND_SD**2
+        noise = powers.row_sd**2 * mean_of_rows(self.beyond_s) + WIND_SD**2
         return EXCESS_SD**2 * beyond * excess / (EXCESS_SD**2 * beyond**2 + noise)
-
-    def with_power_ratio(self, ratio: float, told_s: float, row_sd: float = 0.0) -> FlightLessons:
-        """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power.
-
-        Older parts of the flight count less, and none of them where the last 45 s differ by far: a payload may be taken
-        up in flight. row_sd : relative sd of the power from row to row
-        """
-        kept, kept_recent = math.exp(-told_s / LEVEL_TAU_S), math.exp(-told_s / RECENT_TAU_S)
-        recent_s, recent_sum_s = kept_recent * self.recent_s + told_s, kept_recent * self.recent_sum_s + told_s * ratio
-        level_s, level_sum_s = kept * self.level_s + told_s, kept * self.level_sum_s + told_s * ratio
-        before_s, before_sum_s = level_s - recent_s, level_sum_s - recent_sum_s
-        usual = max(CHANGED, CHANGED_SDS * row_sd * math.sqrt(_mean_of_rows(recent_s, RECENT_TAU_S)))
-        apart = abs(recent_sum_s * before_s - before_sum_s * recent_s)  # of the two means, times both times
-        if before_s > RECENT_TAU_S and apart > usual * before_sum_s * recent_s:
-            level_s, level_sum_s = recent_s, recent_sum_s
-        return self._replace(level_s=level_s, level_sum_s=level_sum_s, recent_s=recent_s, recent_sum_s=recent_sum_s)
 
     def timing(self, leg: Leg) -> Timing:
         """Return the belief about the timing of such a leg: short and long legs have one each."""
@@ -238,23 +212,3 @@ class FlightLessons(NamedTuple):
     def wind_sd_ms(self) -> float:
         """Return the sd of a component of the wind [m/s]; a wind that nobody measures may blow from any side."""
         return WIND_SD_MS if self.is_wind_told else UNTOLD_WIND_SD_MS
-
-    def level(self, powers: Powers) -> tuple[float, float]:
-        """Return the ratio of the flight's power to that of `powers`, and its sd: the prior and what was flown so far.
-
-        For an unknown aircraft it is NaN until enough was flown.
-        """
-        if not self.level_s > (0.0 if powers.flights else LEAST_FLOWN_S):
-            return (1.0, powers.level_sd) if powers.flights else (NAN, NAN)
-        prior = powers.level_sd**2 if powers.flights else math.inf
-        noise = powers.row_sd**2 * _mean_of_rows(self.level_s) + MODEL_SD**2
-        share = 1.0 / (1.0 + noise / prior)
-        return 1.0 + share * (self.level_sum_s / self.level_s - 1.0), math.sqrt(share * noise)
-
-
-def _mean_of_rows(told_s: float, tau_s: float = LEVEL_TAU_S) -> float:
-    """Return the variance of a mean of rows over that of one row; the weights exp(-age / tau_s) sum to `told_s`.
-
-    The squares of these weights sum to told_s - told_s² / (2 tau_s), and rows of POWER_MEMORY_S are alike.
-    """
-    return min(2.0 * POWER_MEMORY_S * (1.0 / told_s - 0.5 / tau_s), 1.0)

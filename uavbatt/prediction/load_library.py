@@ -4,7 +4,7 @@ With a vehicle file: each past flight is used from the point that corresponds to
 take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
 flight differs more from all of them than flights of one aircraft usually do. A lasting step of the power in flight, of
 20 % and more against all of them, is a payload that was taken up: then only the power since counts. If it has risen
-against them for minutes (ice, a wind that freshens), only that of the last two minutes counts. A past flight counts
+against them for minutes (`rising`), only that of the last two minutes counts, with a wider spread. A past flight counts
 more if this flight has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error
 of the time left is 43, 40, 34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44,
 39 and 35 s. After its landing a past flight goes on as another past flight did from that charge.
@@ -26,6 +26,7 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
 from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
+from uavbatt.prediction.rising import BLOCK_S, MOST_BLOCKS, NOW_BLOCKS, RISING_SD, has_risen
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -38,14 +39,12 @@ OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
-BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
+BLOCK_SD = 0.18
 FAR_APART = 9.0  # squared standard deviations
 ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights may differ later
 
 # A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
 LEAST_STEP, LEAST_SINCE, LEAST_BEFORE, STEP_SDS, LEAST_SCATTER = 0.18, 3, 4, 5.0, 0.03
-# A steady rise: so much from the first to the last of so many blocks at least, and its slope clear of the scatter.
-LEAST_RISE, LEAST_RISING, RISE_SDS, NOW_BLOCKS = 0.08, 8, 4.0, 4
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
@@ -86,12 +85,15 @@ class LearnedLoad:
             traces_W[:, i] = np.interp(start_s + ahead_s, grid_s, self.power_W[i])
             minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
         own_W, past_W = self._blocks(now)
-        since = changed_blocks(own_W, past_W)
-        if since:
+        more = more_than_past(own_W, past_W)
+        is_rising, since = has_risen(more), changed_blocks(more)
+        if is_rising or since:
+            since = since or NOW_BLOCKS
             traces_W *= own_W[-since:].mean() / np.maximum(past_W[:, -since:].mean(axis=1), LOWEST_POWER_W)
         else:
             traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
-        levels = equal_levels(OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
+        spread = OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD
+        levels = equal_levels(math.hypot(spread, RISING_SD) if is_rising else spread, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
         alike = likeness(own_W, past_W) if own_W.size else np.full(flights, 1.0 / flights)
         weight = np.repeat(alike / LEVELS, LEVELS)
@@ -103,7 +105,7 @@ class LearnedLoad:
         There are none if nothing can be compared: before the first block, and after a gap, which shifts the powers.
         """
         flown, flights = now.recent.history, self.power_W.shape[0]
-        own_W = flown.blocks_W(BLOCK_S, BLOCKS)
+        own_W = flown.blocks_W(BLOCK_S, MOST_BLOCKS)
         if own_W.size == 0 or now.since_take_off_s - flown.length_s - flown.open_s > BLOCK_S:
             return np.empty(0), np.empty((flights, 0))
         edges_s = flown.length_s - BLOCK_S * np.arange(own_W.size, -1, -1)
@@ -113,19 +115,24 @@ class LearnedLoad:
         return own_W, np.diff(past_J) / BLOCK_S
 
 
-def changed_blocks(own_W: Array, past_W: Array) -> int:
-    """Return how many blocks show what this flight needs now, if it needs more power than before; 0 if it does not.
+def more_than_past(own_W: Array, past_W: Array) -> Array:
+    """Return ln of the power of each block of this flight over that of the median past flight, [blocks].
 
-    A payload that was taken up in flight is a step in the power against that of past flights at the same time, ice or a
-    wind that freshens a steady rise. The mean of the whole flight would show both late.
-
-    own_W : power of each block of this flight [W], [blocks]; past_W : of the past flights [W], [flights, blocks].
+    own_W : power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
     """
-    blocks = own_W.size
+    past = np.median(np.log(np.maximum(past_W, LOWEST_POWER_W)), axis=0)
+    return np.asarray(np.log(np.maximum(own_W, LOWEST_POWER_W)) - past)
+
+
+def changed_blocks(more: Array) -> int:
+    """Return for how many blocks this flight has needed far more power than before; 0 if it has not.
+
+    A payload that was taken up in flight is a step in the power against that of past flights at the same time; the
+    mean of the whole flight would show it late. more : ln of this flight's power over theirs, [blocks]
+    """
+    blocks = more.size
     if blocks < LEAST_BEFORE + LEAST_SINCE:
         return 0
-    past = np.median(np.log(np.maximum(past_W, LOWEST_POWER_W)), axis=0)
-    more = np.log(np.maximum(own_W, LOWEST_POWER_W)) - past
     found, clearest = 0, STEP_SDS
     for since in range(LEAST_SINCE, blocks - LEAST_BEFORE + 1):
         before, after = more[:-since], more[-since:]
@@ -134,18 +141,7 @@ def changed_blocks(own_W: Array, past_W: Array) -> int:
         clear = step / (scatter * math.sqrt(1.0 / before.size + 1.0 / since))
         if step > LEAST_STEP and clear > clearest and after.min() - before.mean() > 0.5 * step:  # no climb
             found, clearest = since, clear
-    if not found and any(_is_rising(more[-count:]) for count in range(LEAST_RISING, blocks + 1)):
-        return NOW_BLOCKS
     return found
-
-
-def _is_rising(more: Array) -> bool:
-    """Return True if the power against that of past flights, as ln of the ratio [blocks], has risen steadily."""
-    at = np.arange(more.size) - 0.5 * (more.size - 1)
-    extent = math.sqrt(float(at @ at))
-    slope = float(at @ more) / extent**2
-    scatter = math.hypot(LEAST_SCATTER, float(np.std(more - slope * at)))
-    return slope * (more.size - 1) > LEAST_RISE and slope * extent > RISE_SDS * scatter
 
 
 def likeness(own_W: Array, past_W: Array) -> Array:

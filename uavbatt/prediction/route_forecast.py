@@ -95,7 +95,7 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     """Return the load to come: the route's, if the route is known and the user has not stated another load."""
     returning = is_returning(progress, navigation)
     name, powers, known = NAMES.get(type(load), "learned"), powers_of(load), progress.lessons
-    level, level_sd = known.level(powers)
+    level, level_sd = known.power.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
     home_reason = why_no_home(progress, navigation, time_s)
     if not math.isfinite(level):
@@ -117,7 +117,7 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
 def homewards(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> RouteLoad | None:
     """Return the way home from here with powers and level of the aircraft; None if one of them is not known."""
     powers = powers_of(load)
-    level, level_sd = progress.lessons.level(powers)
+    level, level_sd = progress.lessons.power.level(powers)
     home = home_now(progress, navigation, time_s)
     if not isinstance(home, Ahead) or not math.isfinite(level):
         return None
