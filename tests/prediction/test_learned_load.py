@@ -337,6 +337,15 @@ def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
     assert told(1.35, 6, scatter=0.06) == 6
 
 
+def test_a_step_is_remembered_for_the_rest_of_the_flight() -> None:
+    """Eight minutes after it, it was forgotten: on a mission the number rose by 160 s again, the lower end by 190 s."""
+    assert told(1.35, 30, blocks=50) == 30
+    low = np.concatenate([np.zeros(10), np.full(30, 0.3)])
+    low[[20, 33]] = -0.2  # a descent
+    assert changed_blocks(low) == 30
+    assert changed_blocks(np.concatenate([np.zeros(10), np.full(3, 0.6), np.zeros(7)])) == 0  # a climb that is over
+
+
 def test_what_is_no_payload_taken_up_changes_nothing() -> None:
     assert told(1.35, 2) == 0  # a climb of a minute
     assert told(1.15, 10) == 0

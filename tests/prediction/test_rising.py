@@ -7,7 +7,15 @@ import pytest
 from route_rig import POWERS
 
 from uavbatt.prediction.power_level import PowerLevel
-from uavbatt.prediction.rising import BLOCK_S, LEAST_RISING, MOST_BLOCKS, RISING_SD, has_risen
+from uavbatt.prediction.rising import (
+    BLOCK_S,
+    LEAST_RISING,
+    MOST_BLOCKS,
+    NOW_BLOCKS,
+    RISING_SD,
+    blocks_since_rise,
+    has_risen,
+)
 
 
 def rising(rise: float, scatter: float = 0.0, blocks: int = MOST_BLOCKS, seed: int = 4) -> bool:
@@ -22,6 +30,15 @@ def test_ice_and_a_wind_that_freshens_are_found() -> None:
     assert not rising(-0.25)  # less power is safe to see late
     assert not rising(0.25, blocks=LEAST_RISING - 1)
     assert not has_risen(np.empty(0))
+
+
+def test_a_rise_that_has_ended_is_remembered() -> None:
+    """What counts is all of the time at the new power, or the last two minutes of it."""
+    risen = np.concatenate([np.zeros(6), np.linspace(0.0, 0.25, 12)])
+    for later in (0, 1, 5, 40, 100):
+        since = blocks_since_rise(np.concatenate([risen, np.full(later, 0.25)]))
+        assert max(later - 8, NOW_BLOCKS) <= since <= later + NOW_BLOCKS
+    assert blocks_since_rise(np.zeros(60)) == 0
 
 
 def test_a_front_and_a_payload_are_steps() -> None:

@@ -26,7 +26,7 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
 from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
-from uavbatt.prediction.rising import BLOCK_S, MOST_BLOCKS, NOW_BLOCKS, RISING_SD, has_risen
+from uavbatt.prediction.rising import BLOCK_S, NOW_BLOCKS, RISING_SD, blocks_since_rise
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -39,12 +39,13 @@ OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
-BLOCK_SD = 0.18
+ALIKE_BLOCKS, BLOCK_SD = 20, 0.18
 FAR_APART = 9.0  # squared standard deviations
 ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights may differ later
 
 # A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
-LEAST_STEP, LEAST_SINCE, LEAST_BEFORE, STEP_SDS, LEAST_SCATTER = 0.18, 3, 4, 5.0, 0.03
+LEAST_STEP, LEAST_SINCE, LEAST_BEFORE, STEP_SDS, LEAST_SCATTER, MOST_LOW = 0.18, 3, 4, 5.0, 0.03, 0.1
+MOST_BLOCKS = 240  # two hours, in which a change is remembered
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
@@ -86,16 +87,20 @@ class LearnedLoad:
             minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
         own_W, past_W = self._blocks(now)
         more = more_than_past(own_W, past_W)
-        is_rising, since = has_risen(more), changed_blocks(more)
-        if is_rising or since:
-            since = since or NOW_BLOCKS
+        since_rise = blocks_since_rise(more)
+        since = min(filter(None, (since_rise, changed_blocks(more))), default=0)
+        if since:
             traces_W *= own_W[-since:].mean() / np.maximum(past_W[:, -since:].mean(axis=1), LOWEST_POWER_W)
         else:
             traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
         spread = OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD
-        levels = equal_levels(math.hypot(spread, RISING_SD) if is_rising else spread, LEVELS)
+        levels = equal_levels(math.hypot(spread, RISING_SD) if since_rise == NOW_BLOCKS else spread, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
-        alike = likeness(own_W, past_W) if own_W.size else np.full(flights, 1.0 / flights)
+        alike = (
+            likeness(own_W[-ALIKE_BLOCKS:], past_W[:, -ALIKE_BLOCKS:])
+            if own_W.size
+            else np.full(flights, 1.0 / flights)
+        )
         weight = np.repeat(alike / LEVELS, LEVELS)
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
@@ -131,17 +136,27 @@ def changed_blocks(more: Array) -> int:
     mean of the whole flight would show it late. more : ln of this flight's power over theirs, [blocks]
     """
     blocks = more.size
-    if blocks < LEAST_BEFORE + LEAST_SINCE:
+    since = np.arange(LEAST_SINCE, blocks - LEAST_BEFORE + 1)
+    if since.size == 0:
         return 0
-    found, clearest = 0, STEP_SDS
-    for since in range(LEAST_SINCE, blocks - LEAST_BEFORE + 1):
-        before, after = more[:-since], more[-since:]
-        step = float(after.mean() - before.mean())
-        scatter = math.hypot(LEAST_SCATTER, math.sqrt((before.var() * before.size + after.var() * since) / blocks))
-        clear = step / (scatter * math.sqrt(1.0 / before.size + 1.0 / since))
-        if step > LEAST_STEP and clear > clearest and after.min() - before.mean() > 0.5 * step:  # no climb
-            found, clearest = since, clear
-    return found
+    before, sums, squares = blocks - since, np.cumsum(more), np.cumsum(more**2)
+    before_sum, before_squares = sums[before - 1], squares[before - 1]
+    before_mean, mean = before_sum / before, (sums[-1] - before_sum) / since
+    left = before_squares - before * before_mean**2 + squares[-1] - before_squares - since * mean**2
+    scatter = np.hypot(LEAST_SCATTER, np.sqrt(np.maximum(left, 0.0) / blocks))
+    step = mean - before_mean
+    clear = step / (scatter * np.sqrt(1.0 / before + 1.0 / since))
+    for k in np.argsort(-clear):
+        if not clear[k] > STEP_SDS:
+            break
+        if step[k] > LEAST_STEP and _lasts(more[-since[k] :] - before_mean[k], step[k]):
+            return int(since[k])
+    return 0
+
+
+def _lasts(more: Array, step: float) -> bool:
+    """Return True if all but a tenth of the blocks need half of the step at least: a climb is over after some."""
+    return bool(np.sort(more)[int(MOST_LOW * more.size)] > 0.5 * step)
 
 
 def likeness(own_W: Array, past_W: Array) -> Array:

@@ -23,19 +23,36 @@ LEAST_RISE, LEAST_RISING, RISE_SDS, LEAST_SCATTER = 0.08, 8, 4.0, 0.03
 def has_risen(ratio: Array) -> bool:
     """Return True if a ratio has risen steadily in its last four to ten minutes.
 
-    ratio : of a flight's power to that expected, as ln, [blocks] of BLOCK_S, the last MOST_BLOCKS at most.
+    ratio : of a flight's power to that expected, as ln, [blocks] of BLOCK_S.
     """
-    return any(_is_rising(ratio[-count:]) for count in range(LEAST_RISING, ratio.size + 1))
+    return blocks_since_rise(ratio[-MOST_BLOCKS:]) == NOW_BLOCKS
 
 
-def _is_rising(ratio: Array) -> bool:
-    """Return True if the straight line through all of these ratios rises clearly, and no step explains them better."""
-    at = np.arange(ratio.size) - 0.5 * (ratio.size - 1)
+def blocks_since_rise(ratio: Array) -> int:
+    """Return how many blocks show the power that the last steady rise has led to; 0 if there was none.
+
+    They begin NOW_BLOCKS before its end: a power that rises no more does not fall back. ratio : as for `has_risen`.
+    """
+    ends = [_last_rise(ratio, count) for count in range(LEAST_RISING, min(ratio.size, MOST_BLOCKS) + 1)]
+    end = max(ends, default=0)
+    return ratio.size - end + NOW_BLOCKS if end else 0
+
+
+def _last_rise(ratio: Array, count: int) -> int:
+    """Return the end of the last `count` blocks in turn that rise; 0 if none do.
+
+    They do if the straight line through them rises clearly, and no step explains them better.
+    """
+    at = np.arange(count) - 0.5 * (count - 1)
     extent = math.sqrt(float(at @ at))
-    slope = float(at @ ratio) / extent**2
-    left = float(np.std(ratio - slope * at))
-    is_clear = slope * extent > RISE_SDS * math.hypot(LEAST_SCATTER, left)
-    return slope * (ratio.size - 1) > LEAST_RISE and is_clear and left < _left_by_a_step(ratio)
+    windows = np.lib.stride_tricks.sliding_window_view(ratio, count)
+    risen = windows @ at / extent  # of a line with slope b: b times the extent
+    left = np.sqrt(np.maximum(windows.var(axis=1) - risen**2 / count, 0.0))
+    is_clear = risen > RISE_SDS * np.hypot(LEAST_SCATTER, left)
+    for first in np.flatnonzero(is_clear & (risen * (count - 1) > LEAST_RISE * extent))[::-1]:
+        if left[first] < _left_by_a_step(windows[first]):
+            return int(first) + count
+    return 0
 
 
 def _left_by_a_step(ratio: Array) -> float:
