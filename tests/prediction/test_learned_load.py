@@ -18,6 +18,7 @@ from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
     GRID_S,
+    LEAST_SINCE,
     OWN_SCALING,
     OWN_SPREAD,
     LearnedLoad,
@@ -329,7 +330,7 @@ def told(step: float, since: int, scatter: float = 0.0, blocks: int = 20) -> int
     swing = 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
     own_W = swing * np.exp(scatter * dice.standard_normal(blocks))
     own_W[blocks - since :] *= step
-    return changed_blocks(more_than_past(own_W, np.stack([0.95 * swing, swing, 1.05 * swing])))
+    return changed_blocks(more_than_past(own_W, np.stack([0.95 * swing, swing, 1.05 * swing])), LEAST_SINCE)
 
 
 def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
@@ -342,8 +343,10 @@ def test_a_step_is_remembered_for_the_rest_of_the_flight() -> None:
     assert told(1.35, 30, blocks=50) == 30
     low = np.concatenate([np.zeros(10), np.full(30, 0.3)])
     low[[20, 33]] = -0.2  # a descent
-    assert changed_blocks(low) == 30
-    assert changed_blocks(np.concatenate([np.zeros(10), np.full(3, 0.6), np.zeros(7)])) == 0  # a climb that is over
+    assert changed_blocks(low, LEAST_SINCE) == 30
+    assert (
+        changed_blocks(np.concatenate([np.zeros(10), np.full(3, 0.6), np.zeros(7)]), LEAST_SINCE) == 0
+    )  # a climb that is over
 
 
 def test_what_is_no_payload_taken_up_changes_nothing() -> None:
@@ -352,7 +355,7 @@ def test_what_is_no_payload_taken_up_changes_nothing() -> None:
     assert told(0.7, 10) == 0  # less power may be a long descent
     assert told(1.35, 5, scatter=0.3) == 0  # a flight unlike the past ones
     assert told(1.35, 3, blocks=6) == 0  # too little was flown before it
-    assert changed_blocks(np.empty(0)) == 0
+    assert changed_blocks(np.empty(0), LEAST_SINCE) == 0
 
 
 def test_a_flight_that_has_needed_more_and_more_goes_on_as_in_its_last_two_minutes() -> None:
@@ -370,3 +373,16 @@ def test_a_flight_that_needs_more_since_a_step_goes_on_so() -> None:
     recent = RecentLoad(600.0, 405.0, 405.0, pieces)
     point = FlightPoint(600.0, 600.0, 0.5, 352.0, recent)
     assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, FEW_FLIGHTS), 405.0), rel=0.01)
+
+
+@pytest.mark.parametrize(("minutes", "expected_W"), [(2, 300.0), (6, 210.0)])
+def test_a_payload_that_was_set_down_is_believed_after_four_minutes(minutes: int, expected_W: float) -> None:
+    """Before, it may be a descent. The mean of the whole flight was two minutes too short for the rest of it."""
+    load = library(*[past([300.0] * 180)] * FEW_FLIGHTS)
+    before, after = 60, 12 * minutes
+    pieces = flown(*[300.0] * before, *[210.0] * after)
+    mean_W = (300.0 * before + 210.0 * after) / (before + after)
+    since_s = 5.0 * (before + after)
+    point = FlightPoint(since_s, since_s, 0.5, mean_W, RecentLoad(since_s, 210.0, 210.0, pieces))
+    told_W = middle_W(load.scenarios(point, STEP_S, 20))
+    assert told_W == pytest.approx(np.full((20, FEW_FLIGHTS), expected_W), rel=0.06)

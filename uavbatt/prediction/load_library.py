@@ -2,12 +2,14 @@
 
 With a vehicle file: each past flight is used from the point that corresponds to the present one (half by time since
 take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
-flight differs more from all of them than flights of one aircraft usually do. A lasting step of the power in flight, of
-20 % and more against all of them, is a payload that was taken up: then only the power since counts. If it has risen
-against them for minutes (`rising`), only that of the last two minutes counts, with a wider spread. A past flight counts
-more if this flight has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error
-of the time left is 43, 40, 34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44,
-39 and 35 s. After its landing a past flight goes on as another past flight did from that charge.
+flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
+has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 43, 40,
+34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
+landing a past flight goes on as another past flight did from that charge.
+
+A lasting step of the power in flight, of 20 % and more against all past flights, is a payload that was taken up or set
+down: then only the power since counts. If it has risen against them for minutes (`rising`), only that of the last two
+minutes counts, with a wider spread (`scripts/changing_power.py`).
 
 Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
 begins anywhere in the rest; before it this flight is flown again, at its own power, with a wide spread.
@@ -45,6 +47,7 @@ ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights ma
 
 # A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
 LEAST_STEP, LEAST_SINCE, LEAST_BEFORE, STEP_SDS, LEAST_SCATTER, MOST_LOW = 0.18, 3, 4, 5.0, 0.03, 0.1
+LEAST_SINCE_LESS = 8  # for a payload that was set down: a descent is shorter
 MOST_BLOCKS = 240  # two hours, in which a change is remembered
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
@@ -88,7 +91,8 @@ class LearnedLoad:
         own_W, past_W = self._blocks(now)
         more = more_than_past(own_W, past_W)
         since_rise = blocks_since_rise(more)
-        since = min(filter(None, (since_rise, changed_blocks(more))), default=0)
+        changes = since_rise, changed_blocks(more, LEAST_SINCE), changed_blocks(-more, LEAST_SINCE_LESS)
+        since = min(filter(None, changes), default=0)
         if since:
             traces_W *= own_W[-since:].mean() / np.maximum(past_W[:, -since:].mean(axis=1), LOWEST_POWER_W)
         else:
@@ -129,14 +133,14 @@ def more_than_past(own_W: Array, past_W: Array) -> Array:
     return np.asarray(np.log(np.maximum(own_W, LOWEST_POWER_W)) - past)
 
 
-def changed_blocks(more: Array) -> int:
-    """Return for how many blocks this flight has needed far more power than before; 0 if it has not.
+def changed_blocks(more: Array, least: int) -> int:
+    """Return for how many blocks this flight has needed far more power than before; 0 if for fewer than `least`.
 
     A payload that was taken up in flight is a step in the power against that of past flights at the same time; the
     mean of the whole flight would show it late. more : ln of this flight's power over theirs, [blocks]
     """
     blocks = more.size
-    since = np.arange(LEAST_SINCE, blocks - LEAST_BEFORE + 1)
+    since = np.arange(least, blocks - LEAST_BEFORE + 1)
     if since.size == 0:
         return 0
     before, sums, squares = blocks - since, np.cumsum(more), np.cumsum(more**2)
