@@ -31,12 +31,13 @@ from uavbatt.telemetry import read_log
 
 BEGINS_S, KNOWN_AFTER_S, SHORTEST_S = 300.0, 300.0, 900.0
 PACK_OHM = 0.048
-GROWS_S = 900.0
+GROWS_S, CARRIED_S = 900.0, 300.0
 # The power against that of the flight as it was, by the time since the change begins [s].
 CHANGES: dict[str, Callable[[float], float]] = {
     "none": lambda since_s: 1.0,
     "a payload is taken up: 35 % more": lambda since_s: 1.35,
     "a payload is taken up: 15 % more": lambda since_s: 1.15,
+    "a payload is carried for five minutes: 35 % more": lambda since_s: 1.35 if since_s < CARRIED_S else 1.0,
     "a payload is set down: 25 % less": lambda since_s: 0.75,
     "ice: up to 50 % more within a quarter of an hour": lambda since_s: 1.0 + 0.5 * min(since_s / GROWS_S, 1.0),
     "ice: up to 20 % more within a quarter of an hour": lambda since_s: 1.0 + 0.2 * min(since_s / GROWS_S, 1.0),

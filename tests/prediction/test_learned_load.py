@@ -18,14 +18,11 @@ from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
     GRID_S,
-    LEAST_SINCE,
     OWN_SCALING,
     OWN_SPREAD,
     LearnedLoad,
     UnknownAircraft,
-    changed_blocks,
     learned_load,
-    more_than_past,
 )
 from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
 
@@ -322,40 +319,6 @@ def test_a_library_goes_on_beyond_its_first_hour() -> None:
 
 
 # --- a payload taken up in flight --------------------------------------------------------------------------------
-
-
-def told(step: float, since: int, scatter: float = 0.0, blocks: int = 20) -> int:
-    """The blocks since a step that is found, in a flight of 300 W among past ones that swing alike."""
-    dice = np.random.default_rng(2)
-    swing = 300.0 * np.exp(0.15 * np.sin(np.arange(blocks)))
-    own_W = swing * np.exp(scatter * dice.standard_normal(blocks))
-    own_W[blocks - since :] *= step
-    return changed_blocks(more_than_past(own_W, np.stack([0.95 * swing, swing, 1.05 * swing])), LEAST_SINCE)
-
-
-def test_a_lasting_step_of_the_power_is_found_where_it_began() -> None:
-    assert [told(1.35, since) for since in (3, 5, 10, 16)] == [3, 5, 10, 16]
-    assert told(1.35, 6, scatter=0.06) == 6
-
-
-def test_a_step_is_remembered_for_the_rest_of_the_flight() -> None:
-    """Eight minutes after it, it was forgotten: on a mission the number rose by 160 s again, the lower end by 190 s."""
-    assert told(1.35, 30, blocks=50) == 30
-    low = np.concatenate([np.zeros(10), np.full(30, 0.3)])
-    low[[20, 33]] = -0.2  # a descent
-    assert changed_blocks(low, LEAST_SINCE) == 30
-    assert (
-        changed_blocks(np.concatenate([np.zeros(10), np.full(3, 0.6), np.zeros(7)]), LEAST_SINCE) == 0
-    )  # a climb that is over
-
-
-def test_what_is_no_payload_taken_up_changes_nothing() -> None:
-    assert told(1.35, 2) == 0  # a climb of a minute
-    assert told(1.15, 10) == 0
-    assert told(0.7, 10) == 0  # less power may be a long descent
-    assert told(1.35, 5, scatter=0.3) == 0  # a flight unlike the past ones
-    assert told(1.35, 3, blocks=6) == 0  # too little was flown before it
-    assert changed_blocks(np.empty(0), LEAST_SINCE) == 0
 
 
 def test_a_flight_that_has_needed_more_and_more_goes_on_as_in_its_last_two_minutes() -> None:

@@ -7,9 +7,7 @@ has been similar in its last ten minutes. For 30 real flights of held-out aircra
 34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
 landing a past flight goes on as another past flight did from that charge.
 
-A lasting step of the power in flight, of 20 % and more against all past flights, is a payload that was taken up or set
-down: then only the power since counts. If it has risen against them for minutes (`rising`), only that of the last two
-minutes counts, with a wider spread (`scripts/changing_power.py`).
+A change of the power in flight, against all past flights, counts by what has been flown since (`power_change`).
 
 Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
 begins anywhere in the rest; before it this flight is flown again, at its own power, with a wide spread.
@@ -27,8 +25,9 @@ from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
+from uavbatt.prediction.power_change import MOST_BLOCKS, last_change
 from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
-from uavbatt.prediction.rising import BLOCK_S, NOW_BLOCKS, RISING_SD, blocks_since_rise
+from uavbatt.prediction.rising import BLOCK_S, RISING_SD
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -44,11 +43,6 @@ LEVELS = 3
 ALIKE_BLOCKS, BLOCK_SD = 20, 0.18
 FAR_APART = 9.0  # squared standard deviations
 ANY_SHARE = 0.2  # of the weight goes to all flights equally: similar flights may differ later
-
-# A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
-LEAST_STEP, LEAST_SINCE, LEAST_BEFORE, STEP_SDS, LEAST_SCATTER, MOST_LOW = 0.18, 3, 4, 5.0, 0.03, 0.1
-LEAST_SINCE_LESS = 8  # for a payload that was set down: a descent is shorter
-MOST_BLOCKS = 240  # two hours, in which a change is remembered
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
@@ -89,22 +83,16 @@ class LearnedLoad:
             traces_W[:, i] = np.interp(start_s + ahead_s, grid_s, self.power_W[i])
             minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
         own_W, past_W = self._blocks(now)
-        more = more_than_past(own_W, past_W)
-        since_rise = blocks_since_rise(more)
-        changes = since_rise, changed_blocks(more, LEAST_SINCE), changed_blocks(-more, LEAST_SINCE_LESS)
-        since = min(filter(None, changes), default=0)
-        if since:
-            traces_W *= own_W[-since:].mean() / np.maximum(past_W[:, -since:].mean(axis=1), LOWEST_POWER_W)
+        change = last_change(own_W, past_W)
+        if change.since:
+            past_mean_W = past_W[:, -change.since :].mean(axis=1)
+            traces_W *= own_W[-change.since :].mean() / np.maximum(past_mean_W, LOWEST_POWER_W)
         else:
             traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
         spread = OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD
-        levels = equal_levels(math.hypot(spread, RISING_SD) if since_rise == NOW_BLOCKS else spread, LEVELS)
+        levels = equal_levels(math.hypot(spread, RISING_SD) if change.is_rising else spread, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
-        alike = (
-            likeness(own_W[-ALIKE_BLOCKS:], past_W[:, -ALIKE_BLOCKS:])
-            if own_W.size
-            else np.full(flights, 1.0 / flights)
-        )
+        alike = likeness(own_W[-ALIKE_BLOCKS:], past_W[:, -ALIKE_BLOCKS:])
         weight = np.repeat(alike / LEVELS, LEVELS)
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
@@ -124,53 +112,17 @@ class LearnedLoad:
         return own_W, np.diff(past_J) / BLOCK_S
 
 
-def more_than_past(own_W: Array, past_W: Array) -> Array:
-    """Return ln of the power of each block of this flight over that of the median past flight, [blocks].
-
-    own_W : power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
-    """
-    past = np.median(np.log(np.maximum(past_W, LOWEST_POWER_W)), axis=0)
-    return np.asarray(np.log(np.maximum(own_W, LOWEST_POWER_W)) - past)
-
-
-def changed_blocks(more: Array, least: int) -> int:
-    """Return for how many blocks this flight has needed far more power than before; 0 if for fewer than `least`.
-
-    A payload that was taken up in flight is a step in the power against that of past flights at the same time; the
-    mean of the whole flight would show it late. more : ln of this flight's power over theirs, [blocks]
-    """
-    blocks = more.size
-    since = np.arange(least, blocks - LEAST_BEFORE + 1)
-    if since.size == 0:
-        return 0
-    before, sums, squares = blocks - since, np.cumsum(more), np.cumsum(more**2)
-    before_sum, before_squares = sums[before - 1], squares[before - 1]
-    before_mean, mean = before_sum / before, (sums[-1] - before_sum) / since
-    left = before_squares - before * before_mean**2 + squares[-1] - before_squares - since * mean**2
-    scatter = np.hypot(LEAST_SCATTER, np.sqrt(np.maximum(left, 0.0) / blocks))
-    step = mean - before_mean
-    clear = step / (scatter * np.sqrt(1.0 / before + 1.0 / since))
-    for k in np.argsort(-clear):
-        if not clear[k] > STEP_SDS:
-            break
-        if step[k] > LEAST_STEP and _lasts(more[-since[k] :] - before_mean[k], step[k]):
-            return int(since[k])
-    return 0
-
-
-def _lasts(more: Array, step: float) -> bool:
-    """Return True if all but a tenth of the blocks need half of the step at least: a climb is over after some."""
-    return bool(np.sort(more)[int(MOST_LOW * more.size)] > 0.5 * step)
-
-
 def likeness(own_W: Array, past_W: Array) -> Array:
     """Return the weights [flights] of past flights by the similarity of their power over time to that of this flight.
 
     own_W : mean power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
     Only the shape counts: the median difference in level is removed, because a payload says nothing about the route.
     The remaining log ratios are assumed independent and normal with sd BLOCK_SD. One block counts FAR_APART at most, so
-    that a motor that stops at another time does not decide alone. The sum of the weights is 1.
+    that a motor that stops at another time does not decide alone. The sum of the weights is 1; without blocks all are
+    equal.
     """
+    if own_W.size == 0:
+        return np.full(past_W.shape[0], 1.0 / past_W.shape[0])
     ratio = np.log(np.maximum(past_W, LOWEST_POWER_W) / np.maximum(own_W, LOWEST_POWER_W))
     apart = (ratio - np.median(ratio, axis=1, keepdims=True)) / BLOCK_SD
     misfit = np.sum(np.minimum(np.square(apart), FAR_APART), axis=1)
