@@ -339,7 +339,7 @@ def test_a_flight_that_needs_more_since_a_step_goes_on_so() -> None:
 
 
 @pytest.mark.parametrize(("minutes", "expected_W"), [(2, 300.0), (6, 210.0)])
-def test_a_payload_that_was_set_down_is_believed_after_four_minutes(minutes: int, expected_W: float) -> None:
+def test_a_payload_that_was_set_down_is_believed_when_no_descent_lasts_so_long(minutes: int, expected_W: float) -> None:
     """Before, it may be a descent. The mean of the whole flight was two minutes too short for the rest of it."""
     load = library(*[past([300.0] * 180)] * FEW_FLIGHTS)
     before, after = 60, 12 * minutes
