@@ -101,7 +101,10 @@ def test_a_telemetry_log_of_a_worn_smart_battery(tmp_path: Path) -> None:
     flight = read_log(write_log(tmp_path / "a.tlog", rows))
     found = size_from_rows(GENERIC, PackOptions(), flight, flight.facts_at(math.inf))
     assert (found.capacity_Ah, found.rated_Ah) == (pytest.approx(4.2), pytest.approx(5.0))
-    assert "the battery itself says that it holds 4200 of 5000 mAh when full: that counts" in flight.notes
+    assert (
+        "the battery itself says that it holds 4200 of 5000 mAh when full: that counts, if you state none"
+        in flight.notes
+    )
 
 
 # --- in flight -----------------------------------------------------------------------------------------------------

@@ -145,8 +145,8 @@ def _worn_notes(known: Mapping[str, float], instance: int) -> list[str]:
     """Return a note if the battery itself says that it holds less than its capacity."""
     if _full_share(known, instance) == 1.0:
         return []
-    full_mAh, rated_mAh = known[_of_pack(instance, "FULL_MAH")], _rated_mAh(known, instance)
-    return [f"the battery itself says that it holds {full_mAh:.0f} of {rated_mAh:.0f} mAh when full: that counts"]
+    held = f"{known[_of_pack(instance, 'FULL_MAH')]:.0f} of {_rated_mAh(known, instance):.0f} mAh"
+    return [f"the battery itself says that it holds {held} when full: that counts, if you state none"]
 
 
 def _rated_notes(known: Mapping[str, float], instance: int) -> list[str]:
