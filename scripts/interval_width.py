@@ -27,8 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--each", type=int, default=6, metavar="N", help="flights of each group")
     given = parser.parse_args(arguments)
     say, found = progress(time.monotonic()), list[width.Instant]()
-    cases = [c for c in wrong_cases.sampled(given.each) if c.battery == given.battery and c.sensors.current_gain == 1.0]
-    for case in cases:
+    for case in wrong_cases.metered(given.each, given.battery):
         say(case.name)
         found += width.instants(case)
     print(width.table(f"What makes the interval wide, {given.battery} battery", found).text())

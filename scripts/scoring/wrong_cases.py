@@ -136,6 +136,11 @@ def sampled(each: int) -> list[Case]:
     ]
 
 
+def metered(each: int, battery: str) -> list[Case]:
+    """Return the flights of `sampled` for a battery whose current sensor reads right."""
+    return [case for case in sampled(each) if case.battery == battery and case.sensors.current_gain == 1.0]
+
+
 def by_turns(each: int) -> list[Case]:
     """Return so many flights of every kind of motor that runs by turns; their packs are those of `sampled`."""
     found = []
@@ -151,11 +156,7 @@ def by_turns(each: int) -> list[Case]:
 
 def mixed(each: int) -> list[Case]:
     """Return the flights of `sampled` with a true current for a battery that was fitted to packs of mixed age."""
-    return [
-        replace(case, name=case.name.replace(FITTED, MIXED), battery=MIXED)
-        for case in sampled(each)
-        if case.battery == FITTED and case.sensors.current_gain == 1.0
-    ]
+    return [replace(case, name=case.name.replace(FITTED, MIXED), battery=MIXED) for case in metered(each, FITTED)]
 
 
 def gauged(each: int) -> list[Case]:
@@ -168,8 +169,8 @@ def gauged(each: int) -> list[Case]:
             battery=GAUGED,
             full_share=min(case.capacity_Ah / FULL_AH * math.exp(float(dice.normal(0.0, GAUGE_SD))), 1.0),
         )
-        for case in sampled(each)
-        if case.battery == GENERIC and case.sensors.current_gain == 1.0 and case.capacity_class != CAPACITIES[-1][0]
+        for case in metered(each, GENERIC)
+        if case.capacity_class != CAPACITIES[-1][0]
     ]
 
 

@@ -10,7 +10,7 @@ from uavbatt.prediction.power_level import PowerLevel
 from uavbatt.prediction.rising import (
     BLOCK_S,
     LEAST_RISING,
-    MOST_BLOCKS,
+    LONGEST_RISE,
     NOW_BLOCKS,
     RISING_SD,
     blocks_since_rise,
@@ -18,7 +18,7 @@ from uavbatt.prediction.rising import (
 )
 
 
-def rising(rise: float, scatter: float = 0.0, blocks: int = MOST_BLOCKS, seed: int = 4) -> bool:
+def rising(rise: float, scatter: float = 0.0, blocks: int = LONGEST_RISE, seed: int = 4) -> bool:
     """What is found in ratios that rise evenly and scatter."""
     noise = scatter * np.random.default_rng(seed).standard_normal(blocks)
     return has_risen(np.linspace(0.0, rise, blocks) + noise)
@@ -44,7 +44,7 @@ def test_a_rise_that_has_ended_is_remembered() -> None:
 def test_a_front_and_a_payload_are_steps() -> None:
     """Twelve per cent for two minutes may pass; what lasts is found as a step, or counts by the mean of the flight."""
     for since in (2, 4, 8, 12):
-        assert not has_risen(np.concatenate([np.zeros(MOST_BLOCKS - since), np.full(since, 0.12)]))
+        assert not has_risen(np.concatenate([np.zeros(LONGEST_RISE - since), np.full(since, 0.12)]))
 
 
 def test_the_last_four_minutes_are_enough() -> None:
@@ -84,6 +84,6 @@ def test_a_level_that_has_stopped_rising_is_known_well_again() -> None:
 def test_a_saved_level_that_no_flight_leaves_is_not_possible() -> None:
     good = flown(np.ones(200))
     assert good.is_possible and good.blocks and BLOCK_S * len(good.blocks) <= 200.0
-    assert not good._replace(blocks=(1.0,) * (MOST_BLOCKS + 1)).is_possible
+    assert not good._replace(blocks=(1.0,) * (LONGEST_RISE + 1)).is_possible
     assert not good._replace(blocks=(0.0,)).is_possible
     assert not good._replace(open_sum_s=float("nan")).is_possible

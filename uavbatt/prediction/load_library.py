@@ -25,7 +25,7 @@ from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
-from uavbatt.prediction.power_change import MOST_BLOCKS, last_change
+from uavbatt.prediction.power_change import REMEMBERED_BLOCKS, last_change
 from uavbatt.prediction.power_history import LOWEST_POWER_W, MEAN_TAU_S
 from uavbatt.prediction.rising import BLOCK_S, RISING_SD
 
@@ -102,7 +102,7 @@ class LearnedLoad:
         There are none if nothing can be compared: before the first block, and after a gap, which shifts the powers.
         """
         flown, flights = now.recent.history, self.power_W.shape[0]
-        own_W = flown.blocks_W(BLOCK_S, MOST_BLOCKS)
+        own_W = flown.blocks_W(BLOCK_S, REMEMBERED_BLOCKS)
         if own_W.size == 0 or now.since_take_off_s - flown.length_s - flown.open_s > BLOCK_S:
             return np.empty(0), np.empty((flights, 0))
         edges_s = flown.length_s - BLOCK_S * np.arange(own_W.size, -1, -1)

@@ -13,13 +13,13 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.prediction.power_history import LOWEST_POWER_W
-from uavbatt.prediction.rising import NOW_BLOCKS, blocks_since_rise
+from uavbatt.prediction.rising import LEAST_SCATTER, NOW_BLOCKS, blocks_since_rise
 
 # A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
-LEAST_STEP, LEAST_SINCE, STEP_SDS, LEAST_SCATTER, MOST_LOW = 0.18, 3, 5.0, 0.03, 0.1
+LEAST_STEP, LEAST_SINCE, STEP_SDS, MOST_LOW = 0.18, 3, 5.0, 0.1
 LEAST_BEFORE, LONGEST_BEFORE = 4, 10  # what it was before, of earlier changes too
 LEAST_SINCE_LESS = 5  # for a payload that was set down: a descent is shorter
-MOST_BLOCKS = 240  # two hours, in which a change is remembered
+REMEMBERED_BLOCKS = 240  # two hours, in which a change is remembered
 
 
 class PowerChange(NamedTuple):
@@ -55,8 +55,7 @@ def _since_less(more: Array, own: Array) -> int:
 
     If only the past flights have needed more, their way home may begin earlier than this one's. own : ln of the power
     """
-    since = changed_blocks(-more, LEAST_SINCE_LESS), changed_blocks(-own, LEAST_SINCE_LESS)
-    return min(since)
+    return min(changed_blocks(-more, LEAST_SINCE_LESS), changed_blocks(-own, LEAST_SINCE_LESS))
 
 
 def changed_blocks(more: Array, least: int) -> int:
@@ -70,7 +69,7 @@ def changed_blocks(more: Array, least: int) -> int:
         return 0
     edge = more.size - since
     before = np.minimum(edge, LONGEST_BEFORE)
-    sums, squares = np.cumsum(np.insert(more, 0, 0.0)), np.cumsum(np.insert(more**2, 0, 0.0))
+    sums, squares = (np.concatenate([[0.0], np.cumsum(each)]) for each in (more, more**2))
     before_mean, mean = (sums[edge] - sums[edge - before]) / before, (sums[-1] - sums[edge]) / since
     left = squares[-1] - squares[edge - before] - before * before_mean**2 - since * mean**2
     scatter = np.hypot(LEAST_SCATTER, np.sqrt(np.maximum(left, 0.0) / (before + since)))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.powers import Powers
-from uavbatt.prediction.rising import BLOCK_S, MOST_BLOCKS, NOW_BLOCKS, RISING_SD, has_risen
+from uavbatt.prediction.rising import BLOCK_S, LONGEST_RISE, NOW_BLOCKS, RISING_SD, has_risen
 from uavbatt.records import NAN
 
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
@@ -41,7 +41,7 @@ class PowerLevel(NamedTuple):
     def is_possible(self) -> bool:
         """Return True if a flight can have left this: a saved file may hold anything."""
         sums = (self.told_s, self.sum_s, self.recent_s, self.recent_sum_s, self.open_s, self.open_sum_s)
-        is_known = len(self.blocks) <= MOST_BLOCKS and all(LEAST_RATIO <= ratio < math.inf for ratio in self.blocks)
+        is_known = len(self.blocks) <= LONGEST_RISE and all(LEAST_RATIO <= ratio < math.inf for ratio in self.blocks)
         return is_known and all(0.0 <= value < math.inf for value in sums)
 
     def after(self, ratio: float, told_s: float, row_sd: float = 0.0) -> PowerLevel:
@@ -63,7 +63,7 @@ class PowerLevel(NamedTuple):
 
     def _with_block(self) -> PowerLevel:
         """Return the level after a half minute; while it rises, only the last two minutes count."""
-        blocks = (*self.blocks, max(self.open_sum_s / self.open_s, LEAST_RATIO))[-MOST_BLOCKS:]
+        blocks = (*self.blocks, max(self.open_sum_s / self.open_s, LEAST_RATIO))[-LONGEST_RISE:]
         closed = self._replace(blocks=blocks, open_s=0.0, open_sum_s=0.0, is_rising=has_risen(np.log(blocks)))
         if not closed.is_rising:
             return closed

@@ -13,11 +13,12 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 
-BLOCK_S, MOST_BLOCKS = 30.0, 20
+BLOCK_S = 30.0
 NOW_BLOCKS = 4  # what shows the power of now while it rises
 RISING_SD = 0.08  # relative, of the power to come: it may rise on
-# So much from the first to the last of so many blocks at least, as ln, with a slope clear of the scatter.
-LEAST_RISE, LEAST_RISING, RISE_SDS, LEAST_SCATTER = 0.08, 8, 4.0, 0.03
+# So much from the first to the last of so many blocks, as ln, with a slope clear of the scatter.
+LEAST_RISE, RISE_SDS, LEAST_SCATTER = 0.08, 4.0, 0.03
+LEAST_RISING, LONGEST_RISE = 8, 20
 
 
 def has_risen(ratio: Array) -> bool:
@@ -25,7 +26,7 @@ def has_risen(ratio: Array) -> bool:
 
     ratio : of a flight's power to that expected, as ln, [blocks] of BLOCK_S.
     """
-    return blocks_since_rise(ratio[-MOST_BLOCKS:]) == NOW_BLOCKS
+    return blocks_since_rise(ratio[-LONGEST_RISE:]) == NOW_BLOCKS
 
 
 def blocks_since_rise(ratio: Array) -> int:
@@ -33,24 +34,26 @@ def blocks_since_rise(ratio: Array) -> int:
 
     They begin NOW_BLOCKS before its end: a power that rises no more does not fall back. ratio : as for `has_risen`.
     """
-    ends = [_last_rise(ratio, count) for count in range(LEAST_RISING, min(ratio.size, MOST_BLOCKS) + 1)]
+    sums, squares = (np.concatenate([[0.0], np.cumsum(each)]) for each in (ratio, ratio**2))
+    ends = [_last_rise(ratio, sums, squares, n) for n in range(LEAST_RISING, min(ratio.size, LONGEST_RISE) + 1)]
     end = max(ends, default=0)
     return ratio.size - end + NOW_BLOCKS if end else 0
 
 
-def _last_rise(ratio: Array, count: int) -> int:
+def _last_rise(ratio: Array, sums: Array, squares: Array, count: int) -> int:
     """Return the end of the last `count` blocks in turn that rise; 0 if none do.
 
-    They do if the straight line through them rises clearly, and no step explains them better.
+    They do if the straight line through them rises clearly, and no step explains them better. sums, squares : of the
+    ratios and of their squares before each block, and behind the last, [blocks + 1]
     """
     at = np.arange(count) - 0.5 * (count - 1)
     extent = math.sqrt(float(at @ at))
-    windows = np.lib.stride_tricks.sliding_window_view(ratio, count)
-    risen = windows @ at / extent  # of a line with slope b: b times the extent
-    left = np.sqrt(np.maximum(windows.var(axis=1) - risen**2 / count, 0.0))
+    risen = np.correlate(ratio, at, "valid") / extent  # of a line with slope b: b times the extent
+    variance = (squares[count:] - squares[:-count]) / count - ((sums[count:] - sums[:-count]) / count) ** 2
+    left = np.sqrt(np.maximum(variance - risen**2 / count, 0.0))
     is_clear = risen > RISE_SDS * np.hypot(LEAST_SCATTER, left)
     for first in np.flatnonzero(is_clear & (risen * (count - 1) > LEAST_RISE * extent))[::-1]:
-        if left[first] < _left_by_a_step(windows[first]):
+        if left[first] < _left_by_a_step(ratio[first : first + count]):
             return int(first) + count
     return 0
 

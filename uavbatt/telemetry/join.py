@@ -102,22 +102,17 @@ def _facts(facts: Sequence[PackFacts], wiring: Wiring) -> PackFacts:
     """Join the vehicle's words about each battery into words about the joined pack."""
     capacities = [f.capacity_Ah for f in facts]
     said = [f.sag_compensated for f in facts if f.sag_compensated is not None]
-    shared = PackFacts(
+    joined = replace(
+        facts[0],
         sag_compensated=any(said) if said else None,
         temperature_of_escs=any(f.temperature_of_escs for f in facts),
         full_share=min(f.full_share for f in facts),
     )
     if wiring is Wiring.PARALLEL:
-        return replace(
-            shared,
-            cells_series=facts[0].cells_series,
-            capacity_Ah=sum(capacities),
-            low_voltage_V=facts[0].low_voltage_V,
-            critical_voltage_V=facts[0].critical_voltage_V,
-        )
+        return replace(joined, capacity_Ah=sum(capacities))
     cells = [f.cells_series for f in facts]
     return replace(
-        shared,
+        joined,
         cells_series=sum(c for c in cells if c) if all(cells) else None,
         capacity_Ah=min(capacities) if all(map(math.isfinite, capacities)) else NAN,
         low_voltage_V=sum(f.low_voltage_V for f in facts),

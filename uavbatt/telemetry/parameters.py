@@ -143,9 +143,11 @@ def capacity_notes(known: Mapping[str, float], instance: int) -> list[str]:
 
 def _worn_notes(known: Mapping[str, float], instance: int) -> list[str]:
     """Return a note if the battery itself says that it holds less than its capacity."""
-    if _full_share(known, instance) == 1.0:
+    rated_mAh = _rated_mAh(known, instance)
+    share = _full_share(known, instance, rated_mAh)
+    if share == 1.0:
         return []
-    held = f"{known[_of_pack(instance, 'FULL_MAH')]:.0f} of {_rated_mAh(known, instance):.0f} mAh"
+    held = f"{share * rated_mAh:.0f} of {rated_mAh:.0f} mAh"
     return [f"the battery itself says that it holds {held} when full: that counts, if you state none"]
 
 
@@ -187,7 +189,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
         critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,
         sag_compensated=None if options is None else is_telemetry and _has_bit(options),
         temperature_of_escs=known.get(prefix + "MONITOR") == ESCS,
-        full_share=_full_share(known, instance),
+        full_share=_full_share(known, instance, capacity_mAh),
     )
 
 
@@ -201,10 +203,10 @@ def _rated_mAh(known: Mapping[str, float], instance: int) -> float:
     return _summed_mAh(known, instance) if is_sum else known.get(_of_pack(instance, "MAH"), capacity_mAh)
 
 
-def _full_share(known: Mapping[str, float], instance: int) -> float:
+def _full_share(known: Mapping[str, float], instance: int, rated_mAh: float) -> float:
     """Return what the battery says that it holds today, as a share of the rated capacity; 1 where it says nothing."""
-    share = _first(known, _of_pack(instance, "FULL_MAH")) / _rated_mAh(known, instance)
-    return share if share >= LEAST_FULL_SHARE and share < 1.0 else 1.0
+    share = _first(known, _of_pack(instance, "FULL_MAH")) / rated_mAh
+    return share if LEAST_FULL_SHARE <= share < 1.0 else 1.0
 
 
 def _summed_mAh(known: Mapping[str, float], instance: int) -> float:
