@@ -145,7 +145,7 @@ def measure(feed: str, rate: float, seconds: float, mission: Path | None = None)
     found = {"ready_s": ready_s, "rss_MB": resident_MB(process.pid)}
     found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - before_s) / seconds
     if feed == "proxy":
-        pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.live.proxy.*24651"]).split()[0])
+        pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.live.feeds.proxy.*24651"]).split()[0])
         found["proxy_rss_MB"] = resident_MB(pid)
         found["proxy_p50_ms"] = 1e3 * statistics.median(heard.frame_delays_s)
         found["proxy_p99_ms"] = 1e3 * statistics.quantiles(heard.frame_delays_s, n=100)[98]

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import FeedSection
-from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
+from uavbatt.live.feeds.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat

@@ -10,7 +10,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.power_history import PowerHistory
+from uavbatt.prediction.load.power_history import PowerHistory
 
 
 @cache

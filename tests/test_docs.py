@@ -25,8 +25,8 @@ from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.residual import Shape
 from uavbatt.fleet.row import COLUMNS as FLEET_COLUMNS
 from uavbatt.live import config
+from uavbatt.live.feeds.web import content
 from uavbatt.live.report import Report
-from uavbatt.live.web import content
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Status
 from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv

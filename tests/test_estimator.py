@@ -27,7 +27,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.log_replay.outcome import outcome
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import RecentMean
+from uavbatt.prediction.load.scenarios import RecentMean
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry import read_log

@@ -29,12 +29,12 @@ from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehic
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import OPTIONS, FirstVoltages, Resting, capacity_doubt, cells_doubt, check_stated, ending_doubt
+from uavbatt.live.feeds.web import content
 from uavbatt.live.report import Report
-from uavbatt.live.web import content
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.load_library import learned_load
+from uavbatt.prediction.load.library import learned_load
+from uavbatt.prediction.load.scenarios import ConstantLoad
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry import read_log

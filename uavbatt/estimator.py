@@ -43,8 +43,8 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecasterMemory, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.load_library import stated_power
+from uavbatt.prediction.load.library import stated_power
+from uavbatt.prediction.load.scenarios import ConstantLoad
 from uavbatt.prediction.pending import Pending, finished
 from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status

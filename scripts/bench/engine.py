@@ -31,9 +31,9 @@ from uavbatt.log_replay.run import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.sampling import Normals
-from uavbatt.prediction.time_to_end import time_to_end
+from uavbatt.prediction.load.scenarios import ConstantLoad
+from uavbatt.prediction.simulation.sampling import Normals
+from uavbatt.prediction.simulation.time_to_end import time_to_end
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 

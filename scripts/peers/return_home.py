@@ -20,9 +20,9 @@ import numpy as np
 
 from peers.columns import FloatArray
 from uavbatt.navigation import Navigation
-from uavbatt.prediction.route_legs import Leg
-from uavbatt.prediction.route_progress import here_at
-from uavbatt.prediction.route_return import way_home
+from uavbatt.prediction.route.legs import Leg
+from uavbatt.prediction.route.progress import here_at
+from uavbatt.prediction.route.way_home import way_home
 
 INAV_MARGIN = 0.05
 PX4_FACTOR, PX4_MARGIN_S = 1.1, 100.0

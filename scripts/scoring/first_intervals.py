@@ -26,8 +26,8 @@ from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import Load
-from uavbatt.prediction.load_library import UnknownAircraft, learned_load
+from uavbatt.prediction.load.library import UnknownAircraft, learned_load
+from uavbatt.prediction.load.scenarios import Load
 from uavbatt.records import Flight, Remaining
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log

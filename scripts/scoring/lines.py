@@ -13,7 +13,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import LoggedLoad
+from uavbatt.prediction.load.scenarios import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.scoring.scores import FlightScore, score_flight
 

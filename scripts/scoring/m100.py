@@ -19,8 +19,8 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import Load, RecentMean
-from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
+from uavbatt.prediction.load.library import LearnedLoad, UnknownAircraft, learned_load
+from uavbatt.prediction.load.scenarios import Load, RecentMean
 from uavbatt.scoring.scores import FlightScore
 
 RATED_AH = 5.7

@@ -25,7 +25,7 @@ from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import LedgerFlight
 from uavbatt.plan.endurance import TakeOff, endurance
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import LoggedLoad
+from uavbatt.prediction.load.scenarios import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 

@@ -32,8 +32,8 @@ from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.navigation import UNSTATED
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import Load
-from uavbatt.prediction.load_library import LearnedLoad, learned_load
+from uavbatt.prediction.load.library import LearnedLoad, learned_load
+from uavbatt.prediction.load.scenarios import Load
 from uavbatt.records import Flight, Route
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.scoring.scores import FlightScore, pool

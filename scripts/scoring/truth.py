@@ -18,7 +18,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import RecentMean
+from uavbatt.prediction.load.scenarios import RecentMean
 from uavbatt.records import Flight
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log

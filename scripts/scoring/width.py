@@ -23,10 +23,10 @@ from uavbatt.battery.state_space import X
 from uavbatt.estimation.filter import SocFilter, estimate_of
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import FlightPoint, LoggedLoad
-from uavbatt.prediction.power_history import RecentLoad
-from uavbatt.prediction.sampling import Normals
-from uavbatt.prediction.time_to_end import time_to_end
+from uavbatt.prediction.load.power_history import RecentLoad
+from uavbatt.prediction.load.scenarios import FlightPoint, LoggedLoad
+from uavbatt.prediction.simulation.sampling import Normals
+from uavbatt.prediction.simulation.time_to_end import time_to_end
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
 LEVELS = (0.05, 0.5, 0.95)

@@ -25,8 +25,8 @@ from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, other_powers, speeds, trace
 from uavbatt.navigation import Navigation, ReturnSettings
-from uavbatt.prediction.load_library import LearnedLoad
-from uavbatt.prediction.load_options import stated_load
+from uavbatt.prediction.load.library import LearnedLoad
+from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry.join import Wiring, joined

@@ -20,8 +20,8 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.records import Flight
-from uavbatt.report.flight_answer import first_answer, rounded
-from uavbatt.report.flight_limits import limits_of
+from uavbatt.report.flight.answer import first_answer, rounded
+from uavbatt.report.flight.limits import limits_of
 from uavbatt.telemetry import read_log
 
 LOGS = Path(__file__).parents[2] / "logs"

@@ -32,7 +32,7 @@ from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.simulation.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 

@@ -11,8 +11,8 @@ import pytest
 
 from uavbatt.fleet.row import FlightRow
 from uavbatt.records import NAN
-from uavbatt.report.fleet import fleet_report
-from uavbatt.report.fleet_groups import AgeingVerdict, Group, change, gathered, verdict
+from uavbatt.report.fleet.fleet_page import fleet_report
+from uavbatt.report.fleet.groups import AgeingVerdict, Group, change, gathered, verdict
 
 
 def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[FlightRow]:

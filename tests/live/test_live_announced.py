@@ -20,12 +20,12 @@ from uavbatt.estimation import filter as soc_filter
 from uavbatt.estimation import monitor, sensor_faults
 from uavbatt.estimation.filter import NO_CURRENT, known_only_to
 from uavbatt.limits import Doubt, FirstVoltages, Resting, cells_doubt, ending_doubt
-from uavbatt.live import announced
-from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection
+from uavbatt.live.feeds import announced
+from uavbatt.live.feeds.announced import Announcer
+from uavbatt.live.feeds.web import content
 from uavbatt.live.report import Report
 from uavbatt.live.tracked_battery import TrackedBattery
-from uavbatt.live.web import content
 from uavbatt.mavlink.outgoing import SEVERITY_CRITICAL, SEVERITY_WARNING
 from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.prediction import forecaster, voltage_bound

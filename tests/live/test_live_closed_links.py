@@ -14,7 +14,7 @@ from live_rig import free_port, until
 from uavbatt.battery import battery_file
 from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
-from uavbatt.live.web import content
+from uavbatt.live.feeds.web import content
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 

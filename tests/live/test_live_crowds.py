@@ -43,7 +43,7 @@ for number in range(3, {MANY}):
     os.dup2(null, number, inheritable=True) if number != null else None
 """
 LIVE = [sys.executable, "-c", FULL + "from uavbatt.cli import main; main()", "live"]
-PROXY = [sys.executable, "-c", FULL + "import runpy; runpy.run_module('uavbatt.live.proxy', run_name='__main__')"]
+PROXY = [sys.executable, "-c", FULL + "import runpy; runpy.run_module('uavbatt.live.feeds.proxy', run_name='__main__')"]
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def test_who_sends_half_a_header_is_sent_away_and_who_asked_for_a_stream_is_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("uvicorn")
-    from uavbatt.live import connections, web
+    from uavbatt.live.feeds import connections, web
 
     monkeypatch.setattr(connections, "REQUEST_WITHIN_S", 1.0)
     monkeypatch.setattr(connections, "LOOK_PERIOD_S", 0.1)

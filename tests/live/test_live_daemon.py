@@ -16,7 +16,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
-from uavbatt.live.web import content, metrics
+from uavbatt.live.feeds.web import content, metrics
 from uavbatt.log_replay.run import steps
 from uavbatt.mavlink import framing
 from uavbatt.prediction.forecaster import ForecastSettings

@@ -23,8 +23,8 @@ from uavbatt.battery import battery_file, model
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
+from uavbatt.live.feeds.web import content
 from uavbatt.live.report import Report
-from uavbatt.live.web import content
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live.rewriter import CONVERGING, ESTIMATE_LAYOUT, NOTHING, OK, Rewriter
+from uavbatt.live.feeds.rewriter import CONVERGING, ESTIMATE_LAYOUT, NOTHING, OK, Rewriter
 from uavbatt.mavlink import framing
 
 

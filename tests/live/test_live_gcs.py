@@ -26,7 +26,7 @@ from live_rig import PATIENCE_S, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.config import HttpSection
-from uavbatt.live.web import serve
+from uavbatt.live.feeds.web import serve
 from uavbatt.records import Route, Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry import read_log

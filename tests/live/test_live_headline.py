@@ -11,11 +11,11 @@ from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live.announced import Announcer
+from uavbatt.live.feeds.announced import Announcer
+from uavbatt.live.feeds.named import NamedFeed
+from uavbatt.live.feeds.web import content
 from uavbatt.live.headline import Headline
-from uavbatt.live.named import NamedFeed
 from uavbatt.live.report import Report
-from uavbatt.live.web import content
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status

@@ -9,8 +9,8 @@ import pytest
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live.proxy_client import ProxyClient
-from uavbatt.live.web import content
+from uavbatt.live.feeds.proxy_client import ProxyClient
+from uavbatt.live.feeds.web import content
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 

@@ -15,8 +15,8 @@ from daemon_bench import Bench
 from live_rig import PATIENCE_S, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live import proxy
 from uavbatt.live.config import RecordSection
+from uavbatt.live.feeds import proxy
 from uavbatt.mavlink.links import MOST_PEERS, open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample

@@ -23,7 +23,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.live.config import Config, FeedSection, HttpSection, LinkSection, checked
 from uavbatt.live.daemon import Daemon
-from uavbatt.live.web import serve
+from uavbatt.live.feeds.web import serve
 from uavbatt.mavlink.endpoint import Link, parse
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings

@@ -15,7 +15,7 @@ from test_live_faults import OPTIONS, SELDOM, flight
 from uavbatt.battery import battery_file
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.live.config import PacksSection, StateSection
-from uavbatt.live.pack_keeper import PackKeeper
+from uavbatt.live.memory.pack_keeper import PackKeeper
 from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger, prior

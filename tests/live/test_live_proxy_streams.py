@@ -17,8 +17,9 @@ import pytest
 from live_rig import PATIENCE_S, Station, Vehicle, descriptors, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live import clock, proxy, rewriter
-from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live import clock
+from uavbatt.live.feeds import proxy, rewriter
+from uavbatt.live.feeds.proxy_client import ProxyClient
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
@@ -37,7 +38,7 @@ class Around:
     def __init__(self, folder: Path) -> None:
         fc, gcs, control = free_port(), free_port(), str(folder / "control.sock")
         settings = proxy.ProxySettings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], control)
-        command = [sys.executable, "-m", "uavbatt.live.proxy", proxy.json.dumps(settings._asdict())]
+        command = [sys.executable, "-m", "uavbatt.live.feeds.proxy", proxy.json.dumps(settings._asdict())]
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         self.vehicle, self.station = self._connected(fc), self._connected(gcs)
         self.gcs_port = gcs

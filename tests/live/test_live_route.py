@@ -14,9 +14,9 @@ from live_rig import free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.errors import BadInput
-from uavbatt.live import proxy
 from uavbatt.live.config import LinkSection, PackSection, RecordSection
-from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live.feeds import proxy
+from uavbatt.live.feeds.proxy_client import ProxyClient
 from uavbatt.mavlink.framing import header
 from uavbatt.navigation import Navigation
 from uavbatt.records import Sample

@@ -21,8 +21,8 @@ from live_rig import PATIENCE_S, ROOT, Station, Vehicle, free_port, manager_at, 
 
 from uavbatt.live import config
 from uavbatt.live.config import Config, LinkSection, RecordSection
+from uavbatt.live.feeds.web import serve
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.web import serve
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat

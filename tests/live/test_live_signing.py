@@ -9,7 +9,7 @@ import pytest
 from daemon_bench import Bench
 
 from uavbatt.live.config import FeedSection, LinkSection
-from uavbatt.live.web import content
+from uavbatt.live.feeds.web import content
 from uavbatt.records import Sample
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 

@@ -89,7 +89,7 @@ def test_a_station_that_reads_as_fast_as_it_is_told_loses_nothing(slow: tuple[Li
 def test_a_slow_browser_gets_events_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half as fast as needed: the page's number was as old as the system's buffers are large, with an age of 0."""
     pytest.importorskip("uvicorn")
-    from uavbatt.live import web
+    from uavbatt.live.feeds import web
 
     monkeypatch.setattr(web, "EVENT_PERIOD_S", 0.02)
     bench, port, shown = Bench(), free_port(), list[float]()

@@ -18,11 +18,11 @@ from test_live_faults import GROUND_ROWS, SELDOM, flight, true_soc
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live import proxy
 from uavbatt.live.config import Config, LinkSection, RecordSection, StateSection
 from uavbatt.live.daemon import Daemon
-from uavbatt.live.proxy_client import ProxyClient
-from uavbatt.live.web import content
+from uavbatt.live.feeds import proxy
+from uavbatt.live.feeds.proxy_client import ProxyClient
+from uavbatt.live.feeds.web import content
 from uavbatt.mavlink.links import open_link
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample

@@ -7,7 +7,7 @@ from dataclasses import replace
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live.web import content
+from uavbatt.live.feeds.web import content
 from uavbatt.records import Sample
 
 REST = Sample(0.0, 16.7, 0.1, 25.0, 0.0, armed=False)

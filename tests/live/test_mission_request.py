@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.config import LinkSection
-from uavbatt.live.mission_request import REST_S, MissionRequest
+from uavbatt.live.requests.mission import REST_S, MissionRequest
 from uavbatt.mavlink import originated
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.outgoing import Outgoing

@@ -12,7 +12,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.model import open_circuit_voltage
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live.pack_keeper import PackKeeper
+from uavbatt.live.memory.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.live.requests import MOST_ASKED, Requests, parameter_names
+from uavbatt.live.requests.parameters import MOST_ASKED, Requests, parameter_names
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.telemetry.parameters import HeardOnce
 

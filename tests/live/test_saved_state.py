@@ -20,7 +20,7 @@ from test_live_faults import OPTIONS, flight, true_soc
 from uavbatt.battery.model import Array
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.live.config import LinkSection, StateSection
-from uavbatt.live.saved import implausible_belief
+from uavbatt.live.memory.saved import implausible_belief
 from uavbatt.records import Estimate
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection
-from uavbatt.live.stream_requests import MOST_ASKED, RATES_Hz, StreamRequests, unheard
+from uavbatt.live.requests.streams import MOST_ASKED, RATES_Hz, StreamRequests, unheard
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.navigation import NOWHERE, Home
 from uavbatt.simulate.tlog_writer import heartbeat

@@ -139,7 +139,7 @@ def test_a_log_that_begins_in_the_air_tells_little_of_the_resistance(emptied, re
 
 def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):
     from uavbatt.plan.endurance import TakeOff, endurance, resolve
-    from uavbatt.prediction.load import ConstantLoad
+    from uavbatt.prediction.load.scenarios import ConstantLoad
 
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", record)

@@ -25,8 +25,8 @@ from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
 from uavbatt.plan.endurance import TABLE_C, Endurance, TakeOff, endurance, make_plan, resolve, rested
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.load_library import learned_load
+from uavbatt.prediction.load.library import learned_load
+from uavbatt.prediction.load.scenarios import ConstantLoad
 from uavbatt.prediction.take_off import FromTakeOff
 from uavbatt.records import Sample
 from uavbatt.report.plan import plan_report

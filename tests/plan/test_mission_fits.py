@@ -16,9 +16,9 @@ from uavbatt.navigation import Action, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import rested
 from uavbatt.plan.mission import MissionPlan
 from uavbatt.plan.words import speed_words
-from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import Flying
-from uavbatt.prediction.long_steps import fly_draws
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying
+from uavbatt.prediction.simulation.long_steps import fly_draws
 
 
 @pytest.fixture(scope="module")

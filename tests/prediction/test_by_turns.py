@@ -10,7 +10,7 @@ from factories import flown
 
 from uavbatt import Estimator, Sample
 from uavbatt.prediction.forecast import Forecast
-from uavbatt.prediction.power_history import PowerHistory
+from uavbatt.prediction.load.power_history import PowerHistory
 from uavbatt.records import NAN, Remaining
 
 MOTOR_W, GLIDE_W = 500.0, 25.0

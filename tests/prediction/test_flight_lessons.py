@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from uavbatt.navigation import Wind
-from uavbatt.prediction.flight_lessons import SHORT_LEG_S, FlightLessons, Timing
-from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route.flight_lessons import SHORT_LEG_S, FlightLessons, Timing
+from uavbatt.prediction.route.legs import Leg, Phase, Point
 
 SPEED_MS = 5.0
 

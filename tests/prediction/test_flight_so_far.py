@@ -7,7 +7,7 @@ import math
 import pytest
 
 from uavbatt.navigation import NOWHERE, Navigation, Position
-from uavbatt.prediction.flight_so_far import FlightSoFar
+from uavbatt.prediction.load.flight_so_far import FlightSoFar
 from uavbatt.records import Sample
 
 CAPACITY_AH, VOLTS = 5.0, 16.0

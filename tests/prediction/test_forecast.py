@@ -23,12 +23,12 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_doubt
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps
-from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import Flying, curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad, LoggedLoad
-from uavbatt.prediction.time_to_end import time_to_end
+from uavbatt.prediction.load.scenarios import ConstantLoad, LoggedLoad
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying, curve_tables, looked_up
+from uavbatt.prediction.simulation.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log

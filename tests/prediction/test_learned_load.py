@@ -10,11 +10,10 @@ from factories import flown, generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
-from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
-from uavbatt.prediction.load_library import (
+from uavbatt.prediction.load.flight_so_far import FlightSoFar
+from uavbatt.prediction.load.library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
     GRID_S,
@@ -24,7 +23,8 @@ from uavbatt.prediction.load_library import (
     UnknownAircraft,
     learned_load,
 )
-from uavbatt.prediction.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
+from uavbatt.prediction.load.power_history import MOST_PIECES, PRIOR_MINUTE_SD, PowerHistory, RecentLoad
+from uavbatt.prediction.load.scenarios import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
 
 STEP_S = 5.0
 

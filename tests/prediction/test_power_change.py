@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavbatt.prediction.power_change import LEAST_SINCE, LEAST_SINCE_LESS, PowerChange, changed_blocks, last_change
-from uavbatt.prediction.rising import NOW_BLOCKS
+from uavbatt.prediction.load.power_change import LEAST_SINCE, LEAST_SINCE_LESS, PowerChange, changed_blocks, last_change
+from uavbatt.prediction.load.rising import NOW_BLOCKS
 
 
 def told(step: float, since: int, scatter: float = 0.0, blocks: int = 20) -> int:

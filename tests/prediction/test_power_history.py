@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavbatt.prediction.power_history import PRIOR_MINUTE_SD, PowerHistory
+from uavbatt.prediction.load.power_history import PRIOR_MINUTE_SD, PowerHistory
 
 
 def flown(*parts: tuple[float, float], row_s: float = 1.0) -> PowerHistory:

@@ -10,7 +10,7 @@ import pytest
 from route_rig import POWERS
 
 from uavbatt.battery.powers import UNKNOWN
-from uavbatt.prediction.power_level import LEVEL_TAU_S, MODEL_SD, PowerLevel
+from uavbatt.prediction.route.power_level import LEVEL_TAU_S, MODEL_SD, PowerLevel
 
 
 def test_the_level_goes_from_the_prior_to_what_was_flown_and_forgets() -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from route_rig import POWERS
 
-from uavbatt.prediction.power_level import PowerLevel
-from uavbatt.prediction.rising import (
+from uavbatt.prediction.load.rising import (
     BLOCK_S,
     LEAST_RISING,
     LONGEST_RISE,
@@ -16,6 +15,7 @@ from uavbatt.prediction.rising import (
     blocks_since_rise,
     has_risen,
 )
+from uavbatt.prediction.route.power_level import PowerLevel
 
 
 def rising(rise: float, scatter: float = 0.0, blocks: int = LONGEST_RISE, seed: int = 4) -> bool:

@@ -29,12 +29,12 @@ from uavbatt.navigation import (
 )
 from uavbatt.notice import Kind, kind_of
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
-from uavbatt.prediction import flight_lessons
 from uavbatt.prediction.batch import end_times
-from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.load_library import LearnedLoad
+from uavbatt.prediction.load.library import LearnedLoad
+from uavbatt.prediction.load.scenarios import ConstantLoad
+from uavbatt.prediction.route import flight_lessons
+from uavbatt.prediction.route.flight_lessons import FlightLessons
 from uavbatt.records import Estimate, PackFacts, Remaining, Route, Sample
 
 ROWS = 60

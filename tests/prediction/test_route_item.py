@@ -10,8 +10,8 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import METRES_PER_DEGREE, Action, MissionItem, Mode, Navigation, Position, ReturnSettings, Wind
-from uavbatt.prediction.route_ahead import Ahead, ahead
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.ahead import Ahead, ahead
+from uavbatt.prediction.route.progress import Progress
 from uavbatt.simulate.route import RouteFlight, route_flight
 
 UP = MissionItem(1, Action.TAKEOFF, alt_m=20.0)

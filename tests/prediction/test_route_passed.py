@@ -9,8 +9,8 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import METRES_PER_DEGREE, Mission, Mode, Navigation, Position
-from uavbatt.prediction.route_ahead import Ahead, ahead
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.ahead import Ahead, ahead
+from uavbatt.prediction.route.progress import Progress
 
 LEG_M = 400.0
 ITEMS = range(1, 9)

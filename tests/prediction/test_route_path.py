@@ -9,8 +9,8 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import METRES_PER_DEGREE, Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
-from uavbatt.prediction.route_legs import Phase, Point, way_points
-from uavbatt.prediction.route_path import path
+from uavbatt.prediction.route.legs import Phase, Point, way_points
+from uavbatt.prediction.route.path import path
 from uavbatt.simulate.route import route_flight
 
 

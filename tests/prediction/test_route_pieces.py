@@ -12,10 +12,10 @@ from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery.powers import TURN_S, power, terms
 from uavbatt.navigation import METRES_PER_DEGREE, Action, MissionItem, Mode, Navigation, Position
-from uavbatt.prediction.flight_lessons import UNTOLD_WIND_SD_MS, WIND_SD_MS
-from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
-from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_load import (
+from uavbatt.prediction.route.ahead import Ahead, ahead, home_now
+from uavbatt.prediction.route.flight_lessons import UNTOLD_WIND_SD_MS, WIND_SD_MS
+from uavbatt.prediction.route.legs import Point
+from uavbatt.prediction.route.load import (
     RouteLoad,
     airspeed_bends,
     airspeed_slopes,
@@ -23,9 +23,9 @@ from uavbatt.prediction.route_load import (
     fast_shares,
     wind_errors_ms,
 )
-from uavbatt.prediction.route_path import path
-from uavbatt.prediction.route_pieces import LegTiming, Pieces
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.path import path
+from uavbatt.prediction.route.pieces import LegTiming, Pieces
+from uavbatt.prediction.route.progress import Progress
 from uavbatt.records import Z90
 
 SPEED_MS = 8.0

@@ -12,9 +12,9 @@ from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery.powers import UNKNOWN, Powers, beyond_learned, power, terms
 from uavbatt.navigation import METRES_PER_DEGREE, Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
-from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.route_ahead import Ahead, ahead
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.ahead import Ahead, ahead
+from uavbatt.prediction.route.flight_lessons import FlightLessons
+from uavbatt.prediction.route.progress import Progress
 
 LEG_M, SPEED_MS, HEIGHT_M = 500.0, 5.0, 30.0
 LINE = mission(*(to(k, LEG_M * k, 0.0, HEIGHT_M) for k in range(1, 5)))

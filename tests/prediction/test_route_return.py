@@ -8,8 +8,8 @@ import pytest
 from route_rig import SETTINGS, mission, to
 
 from uavbatt.navigation import UNSTATED, Action, MissionItem, ReturnSettings, completed
-from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_return import possible_returns, return_assumed, return_reason, way_home
+from uavbatt.prediction.route.legs import Point
+from uavbatt.prediction.route.way_home import possible_returns, return_assumed, return_reason, way_home
 from uavbatt.telemetry.route.settings import return_settings
 
 

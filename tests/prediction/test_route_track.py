@@ -11,10 +11,10 @@ from route_rig import HOME, SETTINGS
 
 from uavbatt.estimator import Estimator
 from uavbatt.navigation import METRES_PER_DEGREE, Mode, Navigation, Position
-from uavbatt.prediction.route_ahead import Ahead, home_now, why_no_home
-from uavbatt.prediction.route_legs import Point
-from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.route_track import way_back
+from uavbatt.prediction.route.ahead import Ahead, home_now, why_no_home
+from uavbatt.prediction.route.legs import Point
+from uavbatt.prediction.route.progress import Progress
+from uavbatt.prediction.route.track import way_back
 from uavbatt.records import Route, Sample
 
 SPEED_MS = 5.0

@@ -9,7 +9,7 @@ import pytest
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import METRES_PER_DEGREE, Position
-from uavbatt.prediction.steadiness import Steadiness
+from uavbatt.prediction.route.steadiness import Steadiness
 
 SPEED_MS, LEG_S, TURN_S = 5.0, 40, 3
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uavbatt.prediction.swings import GUST_MEMORY_S, MANOEUVRE_MEMORY_S, Swings, swung
+from uavbatt.prediction.load.swings import GUST_MEMORY_S, MANOEUVRE_MEMORY_S, Swings, swung
 
 COUNT = 2000
 

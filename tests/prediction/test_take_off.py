@@ -9,10 +9,10 @@ import pytest
 from factories import generic_pack
 
 from uavbatt import Estimator, Sample
-from uavbatt.prediction.load import ConstantLoad, RecentMean
-from uavbatt.prediction.load_library import UnknownAircraft
+from uavbatt.prediction.load.library import UnknownAircraft
+from uavbatt.prediction.load.scenarios import ConstantLoad, RecentMean
+from uavbatt.prediction.simulation.time_to_end import EndTimes
 from uavbatt.prediction.take_off import FORGOTTEN_S, AtTakeOff, is_open, load_before_take_off
-from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import Remaining
 
 EXPECTED_S = tuple(np.linspace(300.0, 1800.0, 64).tolist())

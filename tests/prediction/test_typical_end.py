@@ -9,7 +9,7 @@ from factories import generic_pack
 from uavbatt.battery.model import advance, rested
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load.scenarios import ConstantLoad
 from uavbatt.prediction.typical_end import longest_s, steady_s
 
 POWER_W = 300.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavbatt.report.validation_tables import claims_table
+from uavbatt.report.validation.tables import claims_table
 from uavbatt.validation.gating.ambient_claims import _shown
 from uavbatt.validation.gating.gate import Claim, decide
 

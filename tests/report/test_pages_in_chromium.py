@@ -36,14 +36,14 @@ from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.residual import Residual
 from uavbatt.fleet.row import FlightRow
 from uavbatt.live.config import HttpSection
-from uavbatt.live.web import serve
+from uavbatt.live.feeds.web import serve
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Sample
 from uavbatt.report.diagnosis import diagnosis_report
-from uavbatt.report.fleet import fleet_report
-from uavbatt.report.fleet_groups import gathered
+from uavbatt.report.fleet.fleet_page import fleet_report
+from uavbatt.report.fleet.groups import gathered
 from uavbatt.report.mission import mission_report
-from uavbatt.report.validation import validation_report
+from uavbatt.report.validation.validation_page import validation_report
 
 AUDIT = Path(__file__).with_name("page_audit.js").read_text("utf-8")
 ROUTE = """QGC WPL 110

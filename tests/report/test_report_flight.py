@@ -19,10 +19,10 @@ from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
-from uavbatt.report.flight import flight_report
-from uavbatt.report.flight_events import apart, events
-from uavbatt.report.flight_text import dated_warnings
-from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
+from uavbatt.report.flight.events import apart, events
+from uavbatt.report.flight.flight_page import flight_report
+from uavbatt.report.flight.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
+from uavbatt.report.flight.text import dated_warnings
 
 RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
 NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())

@@ -16,10 +16,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from uavbatt import dataset
-from uavbatt.report import validation_figures
 from uavbatt.report.page import page, write_page
-from uavbatt.report.validation import validation_report
-from uavbatt.report.validation_tables import gains_table
+from uavbatt.report.validation import figures as validation_figures
+from uavbatt.report.validation.tables import gains_table
+from uavbatt.report.validation.validation_page import validation_report
 from uavbatt.validation.gating import gate
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.gating.temperature_gains import Gain

@@ -24,8 +24,8 @@ from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
-from uavbatt.prediction.load_library import UnknownAircraft, learned_load
+from uavbatt.prediction.load.library import UnknownAircraft, learned_load
+from uavbatt.prediction.load.scenarios import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.records import Flight
 from uavbatt.simulate import flight as simulated
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects

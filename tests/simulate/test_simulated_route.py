@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route.legs import Leg, Phase, Point
 from uavbatt.simulate.route import motion_of
 
 ACCELERATION_MS2 = 2.5

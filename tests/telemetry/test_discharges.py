@@ -11,8 +11,8 @@ import pytest
 from factories import generic_pack
 from frames import battery_row, hover, smart, write_log
 
-from uavbatt.prediction.load import FlightPoint, LoggedLoad
-from uavbatt.prediction.power_history import RecentLoad
+from uavbatt.prediction.load.power_history import RecentLoad
+from uavbatt.prediction.load.scenarios import FlightPoint, LoggedLoad
 from uavbatt.records import NAN, Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log

@@ -14,9 +14,9 @@ from route_rig import HOME, SETTINGS
 from uavbatt.errors import BadInput
 from uavbatt.log_replay.run import with_mission
 from uavbatt.navigation import Action, Home, Mode, Navigation, Position, ReturnSettings
-from uavbatt.prediction.route_ahead import ahead
-from uavbatt.prediction.route_path import path
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.ahead import ahead
+from uavbatt.prediction.route.path import path
+from uavbatt.prediction.route.progress import Progress
 from uavbatt.records import Flight
 from uavbatt.telemetry.formats.mission_file import read_mission
 from uavbatt.telemetry.route.messages import NavigationListener

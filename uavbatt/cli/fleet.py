@@ -125,7 +125,7 @@ def _check_workers(workers: int | None, scheduler: str | None) -> None:
 
 def _check_words(instance: int | None, join: str, load: str) -> None:
     """Raise UsageError for an unknown --join or --load, before the first log is read."""
-    from uavbatt.prediction.load_options import check_word
+    from uavbatt.prediction.load.options import check_word
 
     check_join(instance, join)
     check_word(load)
@@ -182,8 +182,8 @@ def _health_before_each(
 def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: int) -> None:
     """Write the page, and print the result in a few lines. Raises UavbattError if no log could be replayed."""
     from uavbatt.fleet.tables import CSV, PARQUET
-    from uavbatt.report.fleet import fleet_report
-    from uavbatt.report.fleet_groups import gathered
+    from uavbatt.report.fleet.fleet_page import fleet_report
+    from uavbatt.report.fleet.groups import gathered
     from uavbatt.report.page import write_page
 
     overview = gathered(rows)

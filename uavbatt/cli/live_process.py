@@ -47,7 +47,7 @@ def run(config: Config) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # before this line each signal ends the process
         signal.signal(number, lambda signum, frame: told.add(signum))
     if config.http.listen:
-        from uavbatt.live.web import serve
+        from uavbatt.live.feeds.web import serve
 
         serve(config.http, lambda: daemon.board, clock.now_s)
     tell(f"waiting for telemetry from {config.link.endpoint}; {_feeds(config)}")
@@ -107,8 +107,8 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
             raise UsageError(f"--gcs {text}: expected a ground station's address, it is the autopilot's ENDPOINT")
     if "proxy" not in config.feed.kinds:
         return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
-    from uavbatt.live.proxy import ProxySettings
-    from uavbatt.live.proxy_client import ProxyClient, control_path
+    from uavbatt.live.feeds.proxy import ProxySettings
+    from uavbatt.live.feeds.proxy_client import ProxyClient, control_path
 
     link, feed = config.link, config.feed
     control = feed.proxy_control or control_path(link.endpoint)
@@ -121,7 +121,7 @@ def pack_and_forecasts(pack: PackSection) -> tuple[PackOptions, ForecastSettings
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.prediction.load_options import stated_load
+    from uavbatt.prediction.load.options import stated_load
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":

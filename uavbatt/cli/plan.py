@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.plan.endurance import Endurance, Plan
-    from uavbatt.prediction.load import Load
+    from uavbatt.prediction.load.scenarios import Load
     from uavbatt.records import Flight
 
 
@@ -120,8 +120,8 @@ def _load(
     """Return the load to come and its name."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import fit_vehicle
-    from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
-    from uavbatt.prediction.load_library import learned_load
+    from uavbatt.prediction.load.library import learned_load
+    from uavbatt.prediction.load.scenarios import STATED_SPREAD, ConstantLoad
     from uavbatt.prediction.take_off import FromTakeOff
 
     if math.isfinite(power_W):

@@ -197,8 +197,8 @@ def _one(
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.prediction.load_options import stated_load
-    from uavbatt.report import flight_text
+    from uavbatt.prediction.load.options import stated_load
+    from uavbatt.report.flight import text as flight_text
 
     flight = asked_flight(log, options.instance, options.join, options.system)
     if options.mission is not None:
@@ -230,7 +230,7 @@ def _told(
     part: ReplayedFlight, size: PackSize, options: ReplayOptions, memory: PackMemory, health: PackHealth | None
 ) -> tuple[list[str], dict[str, Any]]:
     """Return the result of a flight as lines and for JSON, and add it to the ledger; `health` is that before it."""
-    from uavbatt.report import flight_text
+    from uavbatt.report.flight import text as flight_text
 
     flight, run, found = part
     learned = memory.learn(flight, options.battery, options.pack, health)
@@ -260,12 +260,12 @@ def _draw(
     """Write the charts and the page that are wanted."""
     charts = [path for path in (outputs.png, outputs.svg) if path is not None]
     if charts:
-        from uavbatt.report.flight import save_charts
+        from uavbatt.report.flight.flight_page import save_charts
 
         if not save_charts(charts, flight, run, size, found):
             remark(f"uavbatt: {', '.join(map(str, charts))}: not written, the time left was refused throughout")
     if outputs.report is not None:
-        from uavbatt.report.flight import flight_report
+        from uavbatt.report.flight.flight_page import flight_report
         from uavbatt.report.page import write_page
 
         write_page(outputs.report, flight_report(flight, run, size, found, battery))

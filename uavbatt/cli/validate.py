@@ -97,7 +97,7 @@ def _iso(tests: DataSet, limits: Limits, ship: Path | None, files: ResultFiles) 
     files.write_json(to_builtins(result, printed), indent=1)
     if files.page is not None:
         from uavbatt.report.page import write_page
-        from uavbatt.report.validation import validation_report
+        from uavbatt.report.validation.validation_page import validation_report
 
         write_page(files.page, validation_report(result, printed))
         files.say(f"report: {files.page}")
@@ -147,7 +147,7 @@ def _lines(result: Validation) -> list[str]:
 
 def _claim_lines(result: Validation) -> list[str]:
     """Return the claims that gate, and the first MOST_CLAIMS of those that only inform."""
-    from uavbatt.report.validation_tables import plain_reason
+    from uavbatt.report.validation.tables import plain_reason
 
     said = [(c.gates, f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}") for c in result.claims]
     gating, others = [line for gates, line in said if gates], [line for gates, line in said if not gates]

@@ -35,7 +35,7 @@ def cache_dir() -> Path | None:
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(sys.version.encode())
     for part in SOURCES:
-        for source in sorted((package / part).glob("*.py")):
+        for source in sorted((package / part).rglob("*.py")):
             digest.update(source.read_bytes())
     try:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())

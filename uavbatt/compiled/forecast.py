@@ -19,11 +19,11 @@ from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.spreads import ROW_SHARE
 from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled, compiled_numbers
-from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
-from uavbatt.prediction.draws import Flying
-from uavbatt.prediction.sampling import Normals
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying
+from uavbatt.prediction.simulation.sampling import Normals
+from uavbatt.prediction.simulation.time_to_end import MEAN_LAG_S, SOC_IN_CELL_V, EndTimes, counted
 
 
 class MarginFall(NamedTuple):

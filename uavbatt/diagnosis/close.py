@@ -31,7 +31,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load import LoggedLoad
+from uavbatt.prediction.load.scenarios import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.quality.drawn import loaded_A

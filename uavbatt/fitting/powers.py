@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import Installation, true_power
 from uavbatt.battery.powers import FAST_MS, PRIOR_SD, TERMS, UNKNOWN, Powers, terms
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route.progress import Progress
 from uavbatt.records import Flight, Sample
 
 BLOCK_S, LONGEST_ROW_S = 5.0, 30.0

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.live import state
 from uavbatt.live.config import Config
 from uavbatt.live.log import tell
+from uavbatt.live.memory import state
+from uavbatt.live.memory.resumption import Resumption
+from uavbatt.live.memory.saved import SavedBattery
 from uavbatt.live.report import Report
-from uavbatt.live.resumption import Resumption
-from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -35,7 +35,7 @@ from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
 
 if TYPE_CHECKING:
-    from uavbatt.live.pack_keeper import PackKeeper
+    from uavbatt.live.memory.pack_keeper import PackKeeper
 
 NOTE_S = 60.0
 ONE_ENDS_SOON = Notice("by one of two senders less than two minutes may be left: land", Kind.MAY_END_SOON)
@@ -231,7 +231,7 @@ class Batteries:
         packs = self._config.packs
         if not packs.file:
             return None
-        from uavbatt.live.pack_keeper import PackKeeper  # 4 MB that a flight without a ledger does not need
+        from uavbatt.live.memory.pack_keeper import PackKeeper  # 4 MB that a flight without a ledger does not need
 
         return PackKeeper(Path(packs.file), packs.name, self._battery, self._options, self._utc_s)
 

@@ -16,16 +16,17 @@ from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live import clock, state
+from uavbatt.live import clock
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
+from uavbatt.live.feeds.proxy_client import ProxyClient
+from uavbatt.live.feeds.sender import Sender
 from uavbatt.live.headline import Headline
 from uavbatt.live.listener import HeardFrame, Listener
 from uavbatt.live.log import tell
-from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live.memory import state
 from uavbatt.live.recorder import Recorder
 from uavbatt.live.report import NOTHING_YET, Board, Report
-from uavbatt.live.sender import Sender
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link

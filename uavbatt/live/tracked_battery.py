@@ -19,13 +19,13 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.errors import CapacityNotStated, UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import FirstVoltages
+from uavbatt.live.memory.saved import SavedBattery, implausible
 from uavbatt.live.report import UNKNOWN, EnduranceNow
-from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.live.voltage_watch import VoltageWatch
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
-from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.load.flight_so_far import FlightSoFar
 from uavbatt.prediction.pending import ENDS_SOON, refused
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
 from uavbatt.telemetry.builder import MAX_CURRENT_A

@@ -23,7 +23,7 @@ from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.remembering import check_cells, flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load_options import stated_load
+from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.small_chart import CHART, Span, captioned, small_chart, small_table
 from uavbatt.telemetry import read_log

@@ -25,7 +25,7 @@ from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt, refuse_certain
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad, Load
+from uavbatt.prediction.load.scenarios import ConstantLoad, Load
 from uavbatt.records import NAN, Flight, PackFacts
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))

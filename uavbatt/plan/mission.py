@@ -25,17 +25,18 @@ from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import TABLE_C, TakeOff, range_remark, rested
 from uavbatt.plan.words import leg_words
-from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import end_times
-from uavbatt.prediction.draws import Flying
-from uavbatt.prediction.long_steps import edges_through, fly_draws
-from uavbatt.prediction.route_ahead import Ahead, ways_home
-from uavbatt.prediction.route_forecast import ToCome
-from uavbatt.prediction.route_legs import Point, left_at, legs_table
-from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import Path, path
-from uavbatt.prediction.route_pieces import Column, LegTiming
-from uavbatt.prediction.route_return import return_assumed, return_reason, way_home
+from uavbatt.prediction.route import forecast as route_forecast
+from uavbatt.prediction.route.ahead import Ahead, ways_home
+from uavbatt.prediction.route.forecast import ToCome
+from uavbatt.prediction.route.legs import Point, left_at, legs_table
+from uavbatt.prediction.route.load import RouteLoad
+from uavbatt.prediction.route.path import Path, path
+from uavbatt.prediction.route.pieces import Column, LegTiming
+from uavbatt.prediction.route.way_home import return_assumed, return_reason, way_home
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying
+from uavbatt.prediction.simulation.long_steps import edges_through, fly_draws
 from uavbatt.records import IN_TIME, Route
 
 STEPS = 400  # half of them until touchdown

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from uavbatt.navigation import Wind
-from uavbatt.prediction.route_legs import Leg, Phase
+from uavbatt.prediction.route.legs import Leg, Phase
 
 
 def leg_words(leg: Leg) -> str:

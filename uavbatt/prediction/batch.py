@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.prediction import sampling
-from uavbatt.prediction.draws import Flying
-from uavbatt.prediction.route_forecast import RouteQuestion, WaysState
+from uavbatt.prediction.route.forecast import RouteQuestion, WaysState
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying
+from uavbatt.prediction.simulation.time_to_end import COUNTED, EndTimes, counted, time_to_end
 from uavbatt.prediction.take_off import AtTakeOff
-from uavbatt.prediction.time_to_end import COUNTED, EndTimes, counted, time_to_end
 
 SIDE_BY_SIDE = 16  # more questions do not fit into the cache
 

@@ -20,19 +20,20 @@ from uavbatt.errors import UsageError
 from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.notice import Kind, Notice
-from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
-from uavbatt.prediction.draws import Flying
-from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.flight_so_far import FlightSoFar
 from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
-from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
-from uavbatt.prediction.load_library import UnknownAircraft
-from uavbatt.prediction.route_ahead import homes_from, way_of
-from uavbatt.prediction.route_forecast import ToCome, WaysState
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.load.flight_so_far import FlightSoFar
+from uavbatt.prediction.load.library import UnknownAircraft
+from uavbatt.prediction.load.scenarios import SLOW_ROW_S, ConstantLoad, FlightPoint, Load
+from uavbatt.prediction.route import forecast as route_forecast
+from uavbatt.prediction.route.ahead import homes_from, way_of
+from uavbatt.prediction.route.flight_lessons import FlightLessons
+from uavbatt.prediction.route.forecast import ToCome, WaysState
+from uavbatt.prediction.route.progress import Progress
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Flying
+from uavbatt.prediction.simulation.time_to_end import EndTimes
 from uavbatt.prediction.take_off import AtTakeOff, is_open, load_before_take_off
-from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.prediction.typical_end import longest_s, steady_s
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 

@@ -14,7 +14,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecast import no_forecast
 from uavbatt.prediction.forecaster import Forecaster
-from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.simulation.time_to_end import EndTimes
 from uavbatt.prediction.voltage_bound import ALARM_SHARE, FALLS_FASTER, bounded
 from uavbatt.records import ALARM_RISK, IN_TIME, NAN, Estimate, Remaining, Route, Sample, Status
 

@@ -21,16 +21,16 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import typical_power_W
 from uavbatt.battery.scaling import Pack
-from uavbatt.prediction.load import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
-from uavbatt.prediction.load_library import (
+from uavbatt.prediction.load.library import (
     FEW_SPREAD,
     GRID_S,
     LEVELS,
     LearnedLoad,
     UnknownAircraft,
 )
-from uavbatt.prediction.power_history import LOWEST_POWER_W
-from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.load.power_history import LOWEST_POWER_W
+from uavbatt.prediction.load.scenarios import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels
+from uavbatt.prediction.simulation.time_to_end import EndTimes
 
 SETTLED_S = 60.0
 FORGOTTEN_S = 240.0

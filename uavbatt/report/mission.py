@@ -11,7 +11,7 @@ import numpy as np
 from uavbatt.output import counted
 from uavbatt.plan.mission import MissionPlan, RouteFit
 from uavbatt.plan.words import speed_words, wind_words
-from uavbatt.prediction.route_legs import way_points
+from uavbatt.prediction.route.legs import way_points
 from uavbatt.records import IN_TIME
 from uavbatt.report import plot
 from uavbatt.report.page import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from uavbatt.prediction.route_legs import Point
+from uavbatt.prediction.route.legs import Point
 from uavbatt.report import plot
 from uavbatt.report.page import Html, figure
 

@@ -21,9 +21,9 @@ from msgspec.structs import replace
 from uavbatt.battery.powers import UNKNOWN, power, terms
 from uavbatt.errors import UsageError
 from uavbatt.navigation import METRES_PER_DEGREE, NAN, Home, Mission, Position, ReturnSettings, Wind
-from uavbatt.prediction.route_legs import Leg, Phase, Point, on_circle
-from uavbatt.prediction.route_path import ACCELERATION_MS2, Path, path
-from uavbatt.prediction.route_return import finite_or
+from uavbatt.prediction.route.legs import Leg, Phase, Point, on_circle
+from uavbatt.prediction.route.path import ACCELERATION_MS2, Path, path
+from uavbatt.prediction.route.way_home import finite_or
 from uavbatt.simulate.route_writer import FlownRoute, RouteRow
 from uavbatt.telemetry.route.modes import px4_auto
 from uavbatt.telemetry.route.settings import return_settings

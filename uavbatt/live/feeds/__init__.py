@@ -1,0 +1,1 @@
+"""Feeds: what live says, and to whom: named values, announcements, the proxy, the web page."""

@@ -1,0 +1,1 @@
+"""Memory: what live keeps beyond its own end: the state of the batteries, and flights for the pack ledger."""

@@ -1,0 +1,199 @@
+"""The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
+
+Each draw (battery, power level, wind) flies on, turns at some instants t, and flies home as its autopilot does. On the
+way home the smallest distance of the voltage above the cut-off is noted, in each step under the highest power of gusts.
+The distance of the charge from the least one counts in the same way, because that ends a flight too. A draw's turn-back
+is the last t before its end at which that distance is not negative.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.prediction.route.ahead import Ahead, HomeFrom
+from uavbatt.prediction.route.legs import legs_table
+from uavbatt.prediction.route.load import (
+    RouteLoad,
+    airspeed_bends,
+    airspeed_slopes,
+    factors,
+    fast_shares,
+    roughness,
+    wind_errors_ms,
+)
+from uavbatt.prediction.route.pieces import Column, LegTiming, Pieces, waiting
+from uavbatt.prediction.simulation import sampling
+from uavbatt.prediction.simulation.draws import Draws, Source, source_of
+from uavbatt.prediction.simulation.long_steps import STEP_S, above_cutoff_V, step_draws
+from uavbatt.prediction.simulation.time_to_end import SOC_IN_CELL_V
+
+TURNS, CROWDED = 16, 1.5  # number of instants; early ones are closer together
+CLIMB_STEPS = 3  # least steps of a climb, because the sag is deepest at its end
+FASTEST_CLIMB_MS = 0.3
+TURN_STEPS = 2  # least steps of a turn in which the aircraft speeds up
+ROUGH = 1.0  # sds that the highest mean over 5 s, which is judged, lies above the mean
+
+
+class Turning(NamedTuple):
+    """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
+
+    which : these draws among those of the forecast
+    load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
+    home_from : the legs home from any place
+    least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
+    """
+
+    at_turn: Draws
+    which: slice
+    turn_at_s: Array
+    flown: Ahead
+    load: RouteLoad
+    scenario: Array
+    way: LegTiming
+    home_from: HomeFrom
+    least_soc: Array
+
+    @property
+    def now(self) -> Turning:
+        """Return only the first instant, in which the aircraft turns now."""
+        return self._replace(at_turn=self.at_turn.of(slice(1)), turn_at_s=self.turn_at_s[:1])
+
+
+class TurnBack(NamedTuple):
+    """TurnBack says how far above cut-off and least charge each draw stayed on its way home after a turn."""
+
+    turn_at_s: Array  # [turns] from now
+    above_V: Array  # [turns, draws]
+    home_soc: Array  # [draws] at touchdown after turning now
+
+
+class Homewards(NamedTuple):
+    """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight.
+
+    slopes, bends : change of the logarithm of the power with the airspeed [per m/s] and with its square
+    """
+
+    length_s: Array  # [steps, turns]
+    power_W: Array
+    fast_shares: Array
+    slopes: Array
+    bends: Array
+    rough: Array  # relative sd of the power within the step
+
+    def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
+        """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
+        levels, fast, _, wind_ms = scenarios
+        columns = (self.power_W, self.fast_shares, self.slopes, self.bends)
+        power_W, fast_share, slope, bend = (column[k, turns][:, None] for column in columns)
+        return np.asarray(power_W * levels * fast**fast_share * np.exp((slope + bend * wind_ms) * wind_ms))
+
+
+def turn_instants(longest_s: float) -> Array:
+    """Return the instants within `longest_s` [s] at which a turn home is simulated."""
+    return np.asarray(longest_s * np.linspace(0.0, 1.0, TURNS) ** CROWDED)
+
+
+def fly_home(asked: Turning) -> TurnBack:
+    """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
+    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.home_from)
+    scenarios = np.vstack([factors(asked.load), wind_errors_ms(asked.way.wind_sd_ms)])[:, asked.scenario]
+    return _fly_home(asked, home, scenarios)
+
+
+def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
+    """Return what comes of the ways `home`.
+
+    scenarios : factors of level, fast flight and time, and the error of the wind [m/s], of each draw [4, draws]
+    """
+    at_turn, turn_at_s, stretch = asked.at_turn, asked.turn_at_s, scenarios[2]
+    steps = np.count_nonzero(home.length_s > 0.0, axis=0)
+    normals = sampling.wander_home(int(steps.max()))[:, asked.which]
+    least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
+    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
+    for k in range(int(steps.max()) + 1):
+        is_asked = _is_asked(least_V)[flying]
+        if not is_asked.all():
+            flying, at_turn = flying[is_asked], at_turn.of(is_asked)
+        is_down = steps[flying] <= k
+        if is_down.any():
+            down, landed = flying[is_down], at_turn.of(is_down)
+            power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
+            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, asked.least_soc))
+            soc[down] = landed.state.soc
+            flying, at_turn = flying[~is_down], at_turn.of(~is_down)
+        if not flying.size:
+            break
+        at, rough = source_of(at_turn), home.rough[k, flying][:, None]
+        power_W = home.drawn_W(k, flying, scenarios)
+        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), asked.least_soc)
+        least_V[flying] = np.minimum(least_V[flying], above_V)
+        length_s = home.length_s[k, flying][:, None] * stretch
+        at_turn = step_draws(at_turn, at, power_W, length_s, normals[k % len(normals)])
+    return TurnBack(turn_at_s, least_V, np.maximum(soc[0], 0.0))
+
+
+def _is_asked(least_V: Array) -> Column:
+    """Return True for each turn [turns] that is simulated on: the first for its charge, others while a draw comes home.
+
+    From the other turns, and from the turn before each of them, no draw comes home, so that no crossing lies there
+    (`last_crossing`).
+    """
+    comes_home = np.asarray((least_V >= 0.0).any(axis=1))
+    return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
+
+
+def _above_V(draws: Draws, at: Source, power_W: Array, least_soc: Array) -> Array:
+    """Return the height above the end of flight: above the cut-off, or above the least charge where that is nearer."""
+    above_least_V = (draws.state.soc - least_soc) * SOC_IN_CELL_V * draws.installation.cells
+    return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))
+
+
+def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, home_from: HomeFrom) -> Homewards:
+    """Return the ways home from where the aircraft is at each instant."""
+    legs = [home_from(point) for point in flown.points(turn_at_s)]
+    pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
+    turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
+    if not pieces.length_s.size:  # already down at home
+        pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
+    pieces, turn_of = _in_steps(pieces, turn_of)
+    there = replace(load, ahead=Ahead(flown.begin, pieces))
+    slopes = airspeed_slopes(there)
+    bends = airspeed_bends(there, slopes, way.wind_sd_ms)
+    rough = roughness(there, slopes, math.hypot(*way.wind))
+    told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, bends, rough])
+    counts = np.bincount(turn_of, minlength=turn_at_s.size)
+    ends = np.cumsum(counts)
+    step = np.arange(counts.max())[:, None]
+    is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
+    length_s, *others = told[:, index]  # a way that is over repeats its last step with a length of 0
+    return Homewards(np.where(is_flown, length_s, 0.0), *others)
+
+
+def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
+    """Return the pieces and the turn of each, cut into steps short enough to show the sag of the voltage."""
+    least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, np.where(pieces.gained_ms > 0.0, TURN_STEPS, 1))
+    count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
+    pieces = pieces._replace(length_s=pieces.length_s / count)
+    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(turn_of, count)
+
+
+def turn_back_times(asked: TurnBack, end_s: Array) -> Array:
+    """Return the last time at which each draw can turn back [s], which ends at `end_s`; 0 if it is too late already."""
+    alive = asked.turn_at_s[:, None] <= end_s
+    return last_crossing(asked.turn_at_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))
+
+
+def last_crossing(at_s: Array, height: Array) -> Array:
+    """Return the last time at which each column of `height` [times, draws] is not negative; 0 where none is."""
+    fits = height >= 0.0
+    last = at_s.size - 1 - np.argmax(fits[::-1], axis=0)
+    after = np.minimum(last + 1, at_s.size - 1)
+    column = np.arange(height.shape[1])
+    above, below = height[last, column], height[after, column]
+    share = np.where(after > last, above / np.maximum(above - below, 1e-9), 0.0)
+    return np.where(fits.any(axis=0), at_s[last] + np.clip(share, 0.0, 1.0) * (at_s[after] - at_s[last]), 0.0)

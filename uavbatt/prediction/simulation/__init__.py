@@ -1,0 +1,1 @@
+"""The simulation: possible states and loads, drawn side by side and flown to the end of the pack."""

@@ -1,0 +1,1 @@
+"""The page of one flight, and its text for a terminal."""
