@@ -43,6 +43,7 @@ class Action(StrEnum):
     LOITER_TURNS = "loiter_turns"  # turns, radius_m
     LOITER_UNLIMITED = "loiter_unlimited"
     LAND = "land"
+    PLACE = "place"  # descends, sets a payload down, and climbs again
     RETURN = "return"
     SPEED = "speed"  # speed_ms, speed_kind
     JUMP = "jump"  # jump_to, repeats

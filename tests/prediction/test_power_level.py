@@ -28,6 +28,18 @@ def test_the_level_goes_from_the_prior_to_what_was_flown_and_forgets() -> None:
     assert 0.9 < changed.level(POWERS)[0] < 0.95
 
 
+def test_the_power_before_a_payload_was_set_down_counts_for_little() -> None:
+    level = PowerLevel()
+    for _ in range(400):
+        level = level.after(1.3, 1.0)
+    lighter, unchanged = level.with_another_load(), level
+    assert 1.0 < lighter.level(POWERS)[0] < level.level(POWERS)[0]
+    for _ in range(60):
+        lighter, unchanged = lighter.after(1.0, 1.0), unchanged.after(1.0, 1.0)
+    assert lighter.level(POWERS)[0] < 1.08 < 1.15 < unchanged.level(POWERS)[0]
+    assert PowerLevel().with_another_load() == PowerLevel()
+
+
 @pytest.mark.parametrize("after", [1.35, 0.7])
 def test_a_payload_changed_in_flight_is_known_after_two_minutes(after: float) -> None:
     """It was averaged away: eight minutes after 35 % more power the time left was a quarter too long."""

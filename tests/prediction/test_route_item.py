@@ -65,8 +65,17 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         ((UP, to(2, 600.0, 0.0, 70.0), to(3, 600.0, 400.0, 0.0, action=Action.LAND)), SETTINGS),
         ((UP, to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), FAR, RETURN), SETTINGS),
         ((UP, to(2, 0.0, 300.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), RETURN), SETTINGS),
+        ((UP, replace(FAR, action=Action.PLACE), to(3, 900.0, 0.0, 20.0), RETURN), SETTINGS),
     ],
-    ids=["return", "return that waits", "landing at home", "landing elsewhere", "turns", "turns to the east"],
+    ids=[
+        "return",
+        "return that waits",
+        "landing at home",
+        "landing elsewhere",
+        "turns",
+        "turns to the east",
+        "payload",
+    ],
 )
 def test_touchdown_stays_where_it_is_along_an_item_of_several_legs(
     items: tuple[MissionItem, ...], settings: ReturnSettings
@@ -75,6 +84,19 @@ def test_touchdown_stays_where_it_is_along_an_item_of_several_legs(
     for place in (None, lambda _: None):  # by the place, and by the clock
         for said_s, true_s in touchdowns(flight, settings, place):
             assert said_s == pytest.approx(true_s, abs=12.0 + 0.03 * true_s)
+
+
+@pytest.mark.parametrize("ground_m", [-8.0, 8.0])
+def test_a_payload_is_set_down_on_ground_that_is_not_level_with_home(ground_m: float) -> None:
+    flight = flight_of(UP, replace(FAR, action=Action.PLACE), to(3, 900.0, 0.0, 20.0), replace(RETURN, seq=4))
+
+    def on_hill(time_s: float) -> Position:
+        here, above = flight.position(time_s), flight.legs[1].end.height_m
+        is_there = flight.begins_s[2] <= time_s < flight.begins_s[5]
+        return replace(here, height_m=ground_m + here.height_m * (above - ground_m) / above) if is_there else here
+
+    for said_s, true_s in touchdowns(flight, SETTINGS, on_hill):
+        assert said_s == pytest.approx(true_s, abs=30.0 + 0.03 * true_s)
 
 
 @pytest.mark.parametrize("height_m", [24.0, 60.0])

@@ -93,6 +93,22 @@ def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:
         assert path(mission(there, landing, waits, MissionItem(4, Action.OTHER)), HOME, SETTINGS).lands
 
 
+def test_a_payload_is_set_down_on_the_ground_and_the_mission_flies_on() -> None:
+    delivery = (to(1, 800.0, 0.0, 40.0), to(2, 900.0, 0.0, 40.0, action=Action.PLACE), to(3, 900.0, 500.0, 40.0))
+    assert ends(*delivery)[1:5] == [(900.0, 0.0, h) for h in (40.0, 10.0, 0.0, 40.0)]
+    found = path(mission(*delivery), HOME, SETTINGS)
+    assert [leg.moves_load for leg in found.legs if leg.seq == 2] == [False, False, True, False]
+    placed_s = sum(leg.moving_s + leg.hold_s for leg in found.legs if leg.seq == 2)
+    assert placed_s == pytest.approx(100.0 / 5.0 + 30.0 / 1.5 + 10.0 / 0.5 + 3.0 + 40.0 / 2.5, abs=0.1)
+
+
+@pytest.mark.parametrize("command", [211, 42600], ids=["gripper", "winch"])
+def test_a_gripper_opens_where_the_item_before_it_ends(command: int) -> None:
+    opens = MissionItem(2, Action.OTHER, command=command)
+    found = path(mission(to(1, 100.0, 0.0, 40.0), opens, to(3, 200.0, 0.0, 40.0)), HOME, SETTINGS)
+    assert [leg.seq for leg in found.legs if leg.moves_load] == [1]
+
+
 def test_turns_without_a_radius_are_those_of_the_autopilots_own() -> None:
     """ArduCopter flies circles of CIRCLE_RADIUS (10 m) where the item says 0, and turns at CIRCLE_RATE (20 deg/s)."""
     turns = to(1, 100.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=3.0)

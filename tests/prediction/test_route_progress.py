@@ -11,10 +11,21 @@ import pytest
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery.powers import UNKNOWN, Powers, beyond_learned, power, terms
-from uavbatt.navigation import METRES_PER_DEGREE, Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
+from uavbatt.navigation import (
+    METRES_PER_DEGREE,
+    Action,
+    Home,
+    MissionItem,
+    Mode,
+    Navigation,
+    Position,
+    ReturnSettings,
+    Wind,
+)
 from uavbatt.prediction.route.ahead import Ahead, ahead
 from uavbatt.prediction.route.flight_lessons import FlightLessons
 from uavbatt.prediction.route.progress import Progress
+from uavbatt.simulate.route import route_flight, watts_of
 
 LEG_M, SPEED_MS, HEIGHT_M = 500.0, 5.0, 30.0
 LINE = mission(*(to(k, LEG_M * k, 0.0, HEIGHT_M) for k in range(1, 5)))
@@ -246,3 +257,28 @@ def test_an_aircraft_takes_off_by_its_mode_or_by_its_item() -> None:
     assert {asked for asked, is_so in taking_off.items() if is_so} == {
         (Mode.TAKEOFF, 1), (Mode.TAKEOFF, 2), (Mode.MISSION, 1)
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "items",
+    [
+        (to(2, 900.0, 0.0, HEIGHT_M, action=Action.PLACE), to(3, 2500.0, 0.0, HEIGHT_M)),
+        (to(2, 900.0, 0.0, HEIGHT_M), MissionItem(3, Action.OTHER, command=211), to(4, 2500.0, 0.0, HEIGHT_M)),
+    ],
+    ids=["set down on the ground", "dropped by a gripper"],
+)
+def test_a_payload_that_the_mission_sets_down_is_forgotten_there(items: tuple[MissionItem, ...]) -> None:
+    """The level was averaged over the flight: the way home of a delivery was told with the payload still aboard."""
+    flight = route_flight(mission(to(1, 800.0, 0.0, HEIGHT_M), *items), HOME, Wind(0.0, 0.0), 0.0, SETTINGS)
+    at = next(k for k, leg in enumerate(flight.legs) if leg.moves_load)
+    released_s = flight.begins_s[at] + flight.motions[at].lasts_s
+    progress, current, since_s = Progress(), 1, 0.0
+    for row in flight.flown(released_s + 80.0).rows:
+        time_s = row.position.time_s
+        current, since_s = (current, since_s) if row.seq == current else (row.seq, time_s)
+        now = seen(time_s, 0.0, 0.0, mission=flight.mission, position=row.position, current=current)
+        power_W = flight.power_W(time_s, watts_of(180.0 if time_s > released_s else 240.0))
+        progress = progress.after(time_s, replace(now, current_since_s=since_s), power_W, POWERS)
+        if time_s == math.floor(released_s) - 20.0:
+            assert progress.lessons.power.level(POWERS)[0] > 1.2
+    assert progress.lessons.power.level(POWERS)[0] == pytest.approx(1.0, abs=0.12)

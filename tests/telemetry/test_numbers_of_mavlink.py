@@ -22,7 +22,7 @@ UNDERSTOOD = {
     "NAV_LOITER_TURNS": Action.LOITER_TURNS, "NAV_LOITER_TIME": Action.LOITER_TIME,
     "NAV_RETURN_TO_LAUNCH": Action.RETURN, "NAV_LAND": Action.LAND, "NAV_TAKEOFF": Action.TAKEOFF,
     "NAV_SPLINE_WAYPOINT": Action.SPLINE, "NAV_DELAY": Action.DELAY, "DO_JUMP": Action.JUMP,
-    "DO_CHANGE_SPEED": Action.SPEED,
+    "DO_CHANGE_SPEED": Action.SPEED, "NAV_PAYLOAD_PLACE": Action.PLACE,
 }  # fmt: skip
 # Commands that do something else than to move a multirotor or to wait.
 QUIET = (
@@ -35,7 +35,7 @@ WORDS = {
     "CHANGE_ALT": "a change of height", "LOITER_TO_ALT": "loiter to a height", "DO_ORBIT": "an orbit",
     "ARC_WAYPOINT": "an arc", "ALTITUDE_WAIT": "waiting for a height", "VTOL_TAKEOFF": "a VTOL take-off",
     "VTOL_LAND": "a VTOL landing", "GUIDED_ENABLE": "guidance by another computer",
-    "PAYLOAD_PLACE": "placing a payload", "SET_MODE": "a change of mode", "SET_HOME": "a new home",
+    "SET_MODE": "a change of mode", "SET_HOME": "a new home",
     "RALLY_LAND": "a landing at a rally point", "GO_AROUND": "going around", "REPOSITION": "a new place",
     "PAUSE_CONTINUE": "a pause", "DO_JUMP_TAG": "a jump to a tag", "VTOL_TRANSITION": "a VTOL transition",
     "SCRIPT_TIME": "a script",

@@ -22,6 +22,8 @@ def _moved(leg: Leg) -> str:
         return "takes off"
     if leg.phase is Phase.LANDING:
         return "descends" if leg.end.height_m > 0.0 else "lands"
+    if leg.moves_load and leg.rise_m < 0.0:
+        return "sets its payload down"
     upright = "climbs" if leg.rise_m > 0.0 else "descends" if leg.rise_m < 0.0 else "stays"
     moved = "flies" if leg.run_m > 0.0 else upright
     return f"{moved} home" if moved == "flies" and leg.phase is Phase.HOME else moved

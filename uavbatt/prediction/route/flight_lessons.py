@@ -178,6 +178,10 @@ class FlightLessons(NamedTuple):
             excess_sum_s=kept * self.excess_sum_s + told_s * excess,
         )
 
+    def with_another_load(self) -> FlightLessons:
+        """Return the lessons after a payload was taken up or set down."""
+        return self._replace(power=self.power.with_another_load())
+
     def excess_beyond(self, powers: Powers) -> float:
         """Return how much more power than the law says is flown beyond the learned airspeeds.
 

@@ -44,6 +44,7 @@ class Leg(NamedTuple):
     descent_ms: float
     hold_s: float = 0.0
     circle_m: float = 0.0  # radius of a circle around `end` from `begin` on; 0 if the leg is straight
+    moves_load: bool = False  # a payload may be taken up or set down at its end
 
     @property
     def rise_m(self) -> float:

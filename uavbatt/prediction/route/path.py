@@ -21,6 +21,8 @@ SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
 CIRCLE_RADIUS_M, CIRCLE_RATE_DEG_S, ACCELERATION_MS2 = 10.0, 20.0, 2.5  # ArduCopter's, where it does not state them
 NEAR_M = 1.0  # a take-off so near its place does not fly there
+PLACED_S = 3.0  # on the ground, while a payload is set down
+MOVING_LOADS = (211, 42600)  # MAV_CMD_DO_GRIPPER, MAV_CMD_DO_WINCH
 NO_LANDING = "the mission has no landing: flight home assumed"
 ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
 
@@ -70,6 +72,8 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if isinstance(found, str):
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
+        if item.command in MOVING_LOADS and legs:
+            legs[-1] = legs[-1]._replace(moves_load=True)
         at = left_at(legs[-1]) if legs else at
         if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
             return Path(reason=f"the mission flies on after landing at item {item.seq}")
@@ -147,7 +151,16 @@ def _legs(item: MissionItem, at: Point, speeds: LegSpeeds, home: Home, settings:
     legs = [Leg(item.seq, Phase.ROUTE, at, to, run_m, *speeds, max(item.hold_s, 0.0))]
     if item.action is Action.LOITER_UNLIMITED:
         legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
+    if item.action is Action.PLACE:
+        return [*legs, *_placing(to, speeds, settings, item.seq)]
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
+
+
+def _placing(above: Point, speeds: LegSpeeds, settings: ReturnSettings, seq: int) -> list[Leg]:
+    """Return the legs down to the ground, where a payload is set down, and up again."""
+    fast, slow = (leg._replace(phase=Phase.ROUTE) for leg in landing(above, settings, seq))
+    ground = slow._replace(hold_s=PLACED_S, moves_load=True)
+    return [fast, ground, Leg(seq, Phase.ROUTE, ground.end, above, 0.0, *speeds)]
 
 
 def _take_off(item: MissionItem, at: Point, to: Point, speeds: LegSpeeds, is_px4: bool) -> list[Leg]:

@@ -61,6 +61,11 @@ class PowerLevel(NamedTuple):
         now = PowerLevel(level_s, level_sum_s, recent_s, recent_sum_s, self.blocks, open_s, open_sum_s, self.is_rising)
         return now._with_block() if open_s >= BLOCK_S else now
 
+    def with_another_load(self) -> PowerLevel:
+        """Return the level after a payload was taken up or set down: what was flown before counts for little."""
+        told_s = min(self.told_s, LEAST_FLOWN_S)
+        return PowerLevel(told_s, self.sum_s / self.told_s * told_s) if told_s > 0.0 else self
+
     def _with_block(self) -> PowerLevel:
         """Return the level after a half minute; while it rises, only the last two minutes count."""
         blocks = (*self.blocks, max(self.open_sum_s / self.open_s, LEAST_RATIO))[-LONGEST_RISE:]

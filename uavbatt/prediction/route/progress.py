@@ -101,6 +101,8 @@ class Progress(NamedTuple):
         since_s, began_s = max(navigation.current_since_s, moved.path_since_s), moved.leg_since_s
         if navigation.mode is Mode.MISSION and 0 <= moved.at < at and moved.is_timed and math.isfinite(began_s):
             moved = moved._replace(lessons=moved.lessons.with_timing(found.legs[moved.at : at], since_s - began_s))
+        if 0 <= moved.at < at and any(leg.moves_load for leg in found.legs[moved.at + moved.behind : at]):
+            moved = moved._replace(lessons=moved.lessons.with_another_load())
         here = here_at(time_s, navigation)
         is_timed = moved.path is self.path and _begins_as_planned(found.legs[at], here)
         passed = moved.passed.over(moved.path.legs[moved.item][-1], here) if moved.is_on_path else moved.passed
@@ -148,9 +150,9 @@ class Progress(NamedTuple):
         passed = moved.passed.at(legs[-1], here)
         moved = moved if passed is moved.passed else moved._replace(passed=passed)
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
-            moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(
-                time_s, here, navigation
-            )
+            lessons = moved.lessons.with_another_load() if moved.leg.moves_load else moved.lessons
+            moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN, lessons=lessons)
+            moved = moved._arrived(time_s, here, navigation)
         if moved.is_timed and moved.behind == 0 and moved.leg.phase is Phase.ROUTE and not moved.leg.circle_m > 0.0:
             return moved._replace(lessons=moved.lessons.with_climb(moved.leg, here, row_s))
         return moved

@@ -4,6 +4,8 @@
 
     index current frame command param1 param2 param3 param4 latitude longitude height autocontinue
 
+Ground stations upload the items in the order of the lines, whatever their index says; some write home as command 0.
+
 `.plan`: `mission.items`, each a `SimpleItem` with `command`, `frame` and seven `params`, or a `ComplexItem`; surveys
 and corridor scans hold the items they were made into (`TransectStyleComplexItem.Items`), other patterns do not.
 The ground station puts home in front as item 0 for an ArduPilot, and not for a PX4; `doJumpId` names items for jumps.
@@ -122,6 +124,9 @@ def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
         for number, line in enumerate(lines[1:], start=2)
         if line.strip() and not line.startswith("#")
     ]
+    said = [one._replace(seq=seq) for seq, one in enumerate(said)]
+    if said and said[0].command == 0:
+        said[0] = said[0]._replace(command=commands.WAYPOINT)
     has_home = bool(said) and said[0].command == commands.WAYPOINT
     home = Home(said[0].lat_deg, said[0].lon_deg, _sea_m(said[0])) if has_home else None
     mission = _mission(path, said, has_home, is_px4=not has_home)
