@@ -396,6 +396,9 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
     assert bench.daemon.board.counts["rows"] == 60
 
 
+FAILSAFE = {"BATT_CAPACITY": 5000.0, "BATT_CRT_MAH": 4700.0, "BATT_FS_CRT_ACT": 1.0}
+
+
 @pytest.mark.parametrize(
     ("stated", "parameters", "words"),
     [
@@ -404,6 +407,7 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
         ({}, {"BAT1_N_CELLS": 3.0}, "cells of the vehicle not used"),
         ({}, {"BATT_CRT_VOLT": 3.3}, "critical voltage does not fit"),
         ({}, {"BATT_LOW_VOLT": 25.0}, "low-voltage warning does not fit"),
+        ({}, FAILSAFE, "autopilot will act by its own count"),
     ],
 )
 def test_the_crew_hears_what_cannot_be(stated: dict[str, Any], parameters: dict[str, float], words: str) -> None:

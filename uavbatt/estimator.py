@@ -289,9 +289,9 @@ class Estimator:
 
     def _warnings(self, pack: Pack, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
         """Return the warnings that a reader of the number must see, each once."""
-        size, is_metered = self._known.size, not self._cleaner.current.is_guessed
+        size, facts, is_metered = self._known.size, self._known.facts, not self._cleaner.current.is_guessed
         assert size is not None
-        found = remarks(self.battery, size, sample, known, pack, is_metered=is_metered)
+        found = remarks(self.battery, size, facts, sample, known, pack, is_metered=is_metered)
         if is_metered and self.remembered is not None:
             changed = unlike(pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found

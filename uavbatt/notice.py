@@ -62,6 +62,7 @@ class Kind(Enum):
     ALARM = auto()
     TURN_BACK = auto()
     MAY_NOT_LAND = auto()
+    ACTS_SOON = auto()
     # The link to the vehicle, and several batteries on it.
     NO_TELEMETRY = auto()
     LATE = auto()

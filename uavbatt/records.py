@@ -71,9 +71,9 @@ class Sample:
 class PackFacts:
     """PackFacts holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
 
-    Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
-    reports; temperature_of_escs: what it reports as the pack's temperature is that of the motor controllers;
-    full_share: of that capacity, what the battery itself says that it holds today when full.
+    Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to its voltage;
+    temperature_of_escs: its temperature is that of the motor controllers; full_share: of the capacity, what the battery
+    says that it holds today when full; acts_below_soc: of it, what is left when the autopilot returns or lands.
     """
 
     cells_series: int | None = None
@@ -83,12 +83,13 @@ class PackFacts:
     sag_compensated: bool | None = None
     temperature_of_escs: bool = False
     full_share: float = 1.0
+    acts_below_soc: float = NAN
 
     @property
     def endings_V(self) -> tuple[float, ...]:
-        """Return critical voltage and low-voltage warning [V], by which cells are counted; NaN if the cells are stated.
+        """Return critical voltage and low-voltage warning [V], by which cells are counted.
 
-        If the cells are stated, the vehicle has worked out these voltages from them, so that they show nothing new.
+        There are none if the cells are stated: the vehicle has worked out these voltages from them.
         """
         return () if self.cells_series is not None else (self.critical_voltage_V, self.low_voltage_V)
 
@@ -118,8 +119,7 @@ class Flight:
         instance: number of this battery.
         instances: numbers of all batteries of the log, of which `joined` are read as one pack.
         facts: what the vehicle states of the pack, each with the time [s] from which on it holds, ascending.
-        duration_s: from the log's first record to its last [s].
-        skipped_bytes: bytes that could not be read.
+        duration_s, skipped_bytes: from the log's first record to its last [s]; what could not be read of it.
         notes: what a reader of the log should know.
         identity: aircraft, pack and date, as far as the log tells them.
         navigation: route and position whenever they change, ascending in time.

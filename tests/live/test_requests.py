@@ -28,7 +28,8 @@ def asked(requests: Requests, seconds: float, *names: str, **known: float) -> li
 def test_the_names_are_those_of_the_autopilot_and_of_its_batteries() -> None:
     assert parameter_names([], False)[:2] == ["BATT_CAPACITY", "BATT_LOW_VOLT"]
     assert [n for n in parameter_names([1, 0], False) if "CAPACITY" in n] == ["BATT_CAPACITY", "BATT2_CAPACITY"]
-    assert parameter_names([1], True) == ["BAT2_N_CELLS", "BAT2_CAPACITY", "BAT2_V_EMPTY"]
+    of_second = ["BAT2_N_CELLS", "BAT2_CAPACITY", "BAT2_V_EMPTY"]
+    assert parameter_names([1], True) == [*of_second, "COM_LOW_BAT_ACT", "BAT_CRIT_THR"]
 
 
 def test_each_parameter_is_asked_for_once_before_any_is_asked_for_again() -> None:

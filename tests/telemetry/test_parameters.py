@@ -74,6 +74,31 @@ def test_only_an_ardupilot_has_the_default_of_ardupilot() -> None:
     assert capacity_notes({}, 0) == []
 
 
+CHARGES = {"BATT_CAPACITY": 5000.0, "BATT_LOW_MAH": 1500.0, "BATT_CRT_MAH": 750.0}
+PX4 = {"BAT1_CAPACITY": 5000.0, "BAT_CRIT_THR": 0.07, "BAT_LOW_THR": 0.15}
+
+
+@pytest.mark.parametrize(
+    ("stated", "share"),
+    [
+        (CHARGES, math.nan),  # it only warns
+        ({**CHARGES, "BATT_FS_LOW_ACT": 2.0}, 0.3),
+        ({**CHARGES, "BATT_FS_CRT_ACT": 1.0}, 0.15),
+        ({**CHARGES, "BATT_FS_LOW_ACT": 2.0, "BATT_FS_CRT_ACT": 1.0}, 0.3),
+        ({**CHARGES, "BATT_LOW_MAH": 0.0, "BATT_FS_LOW_ACT": 2.0}, math.nan),
+        ({"BATT_CAPACITY": 5200.0, "FS_BATT_MAH": 520.0, "FS_BATT_ENABLE": 1.0}, 0.1),
+        ({"BATT_CAPACITY": 5200.0, "FS_BATT_MAH": 520.0, "FS_BATT_ENABLE": 0.0}, math.nan),
+        ({"BATT_LOW_VOLT": 14.0, "BATT_CRT_MAH": 750.0, "BATT_FS_CRT_ACT": 1.0}, math.nan),  # of an unknown capacity
+        (PX4, math.nan),
+        ({**PX4, "COM_LOW_BAT_ACT": 0.0}, math.nan),
+        ({**PX4, "COM_LOW_BAT_ACT": 3.0}, 0.07),
+    ],
+)
+def test_the_charge_at_which_an_autopilot_acts_by_itself(stated: dict[str, float], share: float) -> None:
+    facts = facts_timeline(((0.0, name, value) for name, value in stated.items()), 0, is_telemetry=True)[-1][1]
+    assert facts.acts_below_soc == pytest.approx(share, nan_ok=True)
+
+
 def test_the_temperature_of_motor_controllers_is_not_the_packs() -> None:
     """They warm by 40 K in two minutes: a healthy flight was told a third of its time."""
     pack = Pack()

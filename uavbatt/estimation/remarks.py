@@ -9,14 +9,23 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackSize
 from uavbatt.estimation.summary import BeliefSummary
 from uavbatt.notice import Kind, Notice
-from uavbatt.records import Sample
+from uavbatt.records import PackFacts, Sample
 
+ACTS_WITHIN = 0.1  # of the capacity: two minutes of a flight of twenty
+ACTS_SOON = Notice("the autopilot will soon return or land by its own count of the charge", Kind.ACTS_SOON)
 NOTICED_WEAR, WEAR_IS_SURE = 0.15, 2.5
 BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air of its test
 
 
 def remarks(
-    battery: BatteryFile, size: PackSize, sample: Sample, known: BeliefSummary, pack: Pack, *, is_metered: bool
+    battery: BatteryFile,
+    size: PackSize,
+    facts: PackFacts,
+    sample: Sample,
+    known: BeliefSummary,
+    pack: Pack,
+    *,
+    is_metered: bool,
 ) -> tuple[str, ...]:
     """Return the warnings after a sample, from the belief's means in `known`.
 
@@ -37,7 +46,19 @@ def remarks(
         found.append(
             "this pack has more resistance than its type: aged, or colder than it says; less charge is expected"
         )
+    if facts.acts_below_soc > 0.0 and acts_soon(facts, sample):
+        found.append(ACTS_SOON)
     return tuple(found)
+
+
+def acts_soon(facts: PackFacts, sample: Sample) -> bool:
+    """Return True if the autopilot will soon return or land by itself, because its own count of the charge says so.
+
+    Its count may come to its end before the pack does.
+    """
+    counted = 1.0 - sample.consumed_Ah / facts.capacity_Ah
+    soc = sample.reported_soc if math.isfinite(sample.reported_soc) else counted
+    return sample.armed is not False and soc < facts.acts_below_soc + ACTS_WITHIN
 
 
 def is_worn(known: BeliefSummary, battery: BatteryFile) -> bool:

@@ -27,7 +27,7 @@ _OTHER_CAPACITY = 0.1  # a parameter further from what the battery states is not
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 _OF_PACK = "BATTERY"
-BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
+BATTERY_NAMES = ("BAT", "FS_BATT", "COM_LOW_BAT")  # how the names of battery parameters begin
 
 
 class HeardOnce(NamedTuple):
@@ -190,7 +190,22 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
         sag_compensated=None if options is None else is_telemetry and _has_bit(options),
         temperature_of_escs=known.get(prefix + "MONITOR") == ESCS,
         full_share=_full_share(known, instance, capacity_mAh),
+        acts_below_soc=_acts_below_soc(known, instance, capacity_mAh),
     )
+
+
+def _acts_below_soc(known: Mapping[str, float], instance: int, capacity_mAh: float) -> float:
+    """Return the charge left, as a share of the capacity, at which the autopilot returns or lands; NaN if it does not.
+
+    An ArduPilot states charges in mAh, until version 3.5 one for the first battery; PX4 states a share.
+    """
+    if known.get("COM_LOW_BAT_ACT", 0.0) > 0.0:
+        return _first(known, "BAT_CRIT_THR")
+    prefix = ardupilot_prefix(instance)
+    acting = [(prefix + "LOW_MAH", prefix + "FS_LOW_ACT"), (prefix + "CRT_MAH", prefix + "FS_CRT_ACT")]
+    acting += [("FS_BATT_MAH", "FS_BATT_ENABLE")] if instance == 0 else []
+    charges_mAh = [_first(known, charge) for charge, action in acting if known.get(action, 0.0) > 0.0]
+    return max((charge for charge in charges_mAh if charge > 0.0), default=NAN) / capacity_mAh
 
 
 def _rated_mAh(known: Mapping[str, float], instance: int) -> float:

@@ -43,6 +43,7 @@ WARNINGS: dict[Kind, str] = {
     Kind.LATE: "telemetry comes late",
     Kind.ENDS_SOON: "voltage nears its cut-off: land",
     Kind.MAY_END_SOON: "may end within 2 min: land",
+    Kind.ACTS_SOON: "autopilot will act by its own count",
     Kind.CELLS_NOT_STATED: "cells not stated: another count fits",
     Kind.GIVES_NOTHING: "gives nothing, another has the load",
     Kind.CELLS_OF_VEHICLE: "cells of the vehicle not used",

@@ -20,7 +20,11 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
 AGAIN_PAUSE_S = 1.0
 MOST_ASKED = 4
-OF_ARDUPILOT = ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS", "MONITOR", "SUM_MASK")
+OF_ARDUPILOT = (
+    "CAPACITY", "LOW_VOLT", "CRT_VOLT", "LOW_MAH", "CRT_MAH", "FS_LOW_ACT", "FS_CRT_ACT", "OPTIONS", "MONITOR",
+    "SUM_MASK",
+)  # fmt: skip
+OF_PX4 = ("COM_LOW_BAT_ACT", "BAT_CRIT_THR")  # of all batteries together
 
 
 def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
@@ -31,7 +35,7 @@ def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
             names += [f"BAT{instance + 1}_{what}" for what in ("N_CELLS", "CAPACITY", "V_EMPTY")]
         else:
             names += [ardupilot_prefix(instance) + what for what in OF_ARDUPILOT]
-    return names
+    return [*names, *OF_PX4] if is_px4 else names
 
 
 class Requests:

@@ -142,6 +142,7 @@ def _facts(facts: PackFacts) -> str:
         f"{facts.capacity_Ah:g} Ah" if facts.capacity_Ah > 0 else "",
         f"low {facts.low_voltage_V:.4g} V" if facts.low_voltage_V > 0 else "",
         f"critical {facts.critical_voltage_V:.4g} V" if facts.critical_voltage_V > 0 else "",
+        f"autopilot acts at {facts.acts_below_soc:.0%} left by its own count" if facts.acts_below_soc > 0 else "",
         "sag-compensated voltage" if facts.sag_compensated else "",
     ]
     return ", ".join(s for s in said if s) or "not described in the log"
