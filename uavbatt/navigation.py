@@ -42,6 +42,7 @@ class Action(StrEnum):
     LOITER_TIME = "loiter_time"  # hold_s
     LOITER_TURNS = "loiter_turns"  # turns, radius_m
     LOITER_UNLIMITED = "loiter_unlimited"
+    LOITER_TO_HEIGHT = "loiter_to_height"
     LAND = "land"
     PLACE = "place"  # descends, sets a payload down, and climbs again
     RETURN = "return"

@@ -65,6 +65,7 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         ((UP, to(2, 600.0, 0.0, 70.0), to(3, 600.0, 400.0, 0.0, action=Action.LAND)), SETTINGS),
         ((UP, to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), FAR, RETURN), SETTINGS),
         ((UP, to(2, 0.0, 300.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), RETURN), SETTINGS),
+        ((UP, to(2, 600.0, 0.0, 60.0, action=Action.LOITER_TO_HEIGHT), to(3, 900.0, 0.0, 60.0), RETURN), SETTINGS),
         ((UP, replace(FAR, action=Action.PLACE), to(3, 900.0, 0.0, 20.0), RETURN), SETTINGS),
     ],
     ids=[
@@ -74,6 +75,7 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         "landing elsewhere",
         "turns",
         "turns to the east",
+        "height",
         "payload",
     ],
 )

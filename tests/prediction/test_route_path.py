@@ -102,6 +102,13 @@ def test_a_payload_is_set_down_on_the_ground_and_the_mission_flies_on() -> None:
     assert placed_s == pytest.approx(100.0 / 5.0 + 30.0 / 1.5 + 10.0 / 0.5 + 3.0 + 40.0 / 2.5, abs=0.1)
 
 
+def test_a_copter_changes_its_height_at_the_place_and_a_px4_on_the_way() -> None:
+    items = (to(1, 100.0, 0.0, 40.0), to(2, 200.0, 0.0, 90.0, action=Action.LOITER_TO_HEIGHT))
+    assert ends(*items)[1:3] == [(200.0, 0.0, 40.0), (200.0, 0.0, 90.0)]
+    of_px4 = path(mission(*items), HOME, replace(SETTINGS, is_px4=True)).legs
+    assert [tuple(leg.end) for leg in of_px4 if leg.seq == 2] == [pytest.approx((200.0, 0.0, 90.0), abs=0.1)]
+
+
 @pytest.mark.parametrize("command", [211, 42600], ids=["gripper", "winch"])
 def test_a_gripper_opens_where_the_item_before_it_ends(command: int) -> None:
     opens = MissionItem(2, Action.OTHER, command=command)

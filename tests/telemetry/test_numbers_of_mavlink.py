@@ -23,6 +23,7 @@ UNDERSTOOD = {
     "NAV_RETURN_TO_LAUNCH": Action.RETURN, "NAV_LAND": Action.LAND, "NAV_TAKEOFF": Action.TAKEOFF,
     "NAV_SPLINE_WAYPOINT": Action.SPLINE, "NAV_DELAY": Action.DELAY, "DO_JUMP": Action.JUMP,
     "DO_CHANGE_SPEED": Action.SPEED, "NAV_PAYLOAD_PLACE": Action.PLACE,
+    "NAV_LOITER_TO_ALT": Action.LOITER_TO_HEIGHT,
 }  # fmt: skip
 # Commands that do something else than to move a multirotor or to wait.
 QUIET = (
@@ -32,7 +33,7 @@ QUIET = (
 )  # fmt: skip
 WORDS = {
     "TAKEOFF_LOCAL": "a local take-off", "LAND_LOCAL": "a local landing", "NAV_FOLLOW": "following",
-    "CHANGE_ALT": "a change of height", "LOITER_TO_ALT": "loiter to a height", "DO_ORBIT": "an orbit",
+    "CHANGE_ALT": "a change of height", "DO_ORBIT": "an orbit",
     "ARC_WAYPOINT": "an arc", "ALTITUDE_WAIT": "waiting for a height", "VTOL_TAKEOFF": "a VTOL take-off",
     "VTOL_LAND": "a VTOL landing", "GUIDED_ENABLE": "guidance by another computer",
     "SET_MODE": "a change of mode", "SET_HOME": "a new home",

@@ -119,7 +119,7 @@ def test_odd_fields_of_the_home_item_refuse_nothing() -> None:
     assert mission([odd, item(16)], "link").reason == ""
 
 
-@pytest.mark.parametrize("command", [16, 17, 18, 19, 20, 22, 82, 93, 94, 177, 178])
+@pytest.mark.parametrize("command", [16, 17, 18, 19, 20, 22, 31, 82, 93, 94, 177, 178])
 def test_an_item_survives_being_sent(command: int) -> None:
     first = item(command, 1.0, 2.0, 3.0)
     again = mission_item(item_fields(first))

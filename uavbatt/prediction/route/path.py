@@ -145,6 +145,8 @@ def _legs(item: MissionItem, at: Point, speeds: LegSpeeds, home: Home, settings:
         return _take_off(item, at, to, speeds, settings.is_px4)
     if item.action is Action.LOITER_TURNS and item.turns > 0.0:
         return _turns(item, at, to, speeds, settings)
+    if item.action is Action.LOITER_TO_HEIGHT and not settings.is_px4:
+        return _to_height(item, at, to, speeds)
     run_m = math.dist(at[:2], to[:2])
     if item.action is Action.SPLINE:
         run_m *= SPLINE_LENGTHENS
@@ -154,6 +156,13 @@ def _legs(item: MissionItem, at: Point, speeds: LegSpeeds, home: Home, settings:
     if item.action is Action.PLACE:
         return [*legs, *_placing(to, speeds, settings, item.seq)]
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
+
+
+def _to_height(item: MissionItem, at: Point, to: Point, speeds: LegSpeeds) -> list[Leg]:
+    """Return the legs of an ArduCopter to a place, at the height that it has, and then up or down."""
+    there = to._replace(height_m=at.height_m)
+    run_m = math.dist(at[:2], to[:2])
+    return [Leg(item.seq, Phase.ROUTE, at, there, run_m, *speeds), Leg(item.seq, Phase.ROUTE, there, to, 0.0, *speeds)]
 
 
 def _placing(above: Point, speeds: LegSpeeds, settings: ReturnSettings, seq: int) -> list[Leg]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from uavbatt.navigation import NAN, Action, Frame, Mission, MissionItem, SpeedKind
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-SPLINE, DELAY, PLACE, JUMP, SPEED = 82, 93, 94, 177, 178
+LOITER_TO_HEIGHT, SPLINE, DELAY, PLACE, JUMP, SPEED = 31, 82, 93, 94, 177, 178
 _PARACHUTE, _PARACHUTE_RELEASE = 208, 2
 _LAST_NAVIGATION_COMMAND = 95  # MAV_CMD_NAV_LAST: up to here an item is flown to, or waited at
 FRAMES = {0: Frame.SEA, 5: Frame.SEA, 3: Frame.HOME, 6: Frame.HOME, 10: Frame.TERRAIN, 11: Frame.TERRAIN}
@@ -23,7 +23,7 @@ SPEED_KINDS = {0: SpeedKind.AIR, 1: SpeedKind.GROUND, 2: SpeedKind.CLIMB, 3: Spe
 _AT_A_PLACE = {
     WAYPOINT: Action.WAYPOINT, SPLINE: Action.SPLINE, LOITER_UNLIMITED: Action.LOITER_UNLIMITED,
     LOITER_TURNS: Action.LOITER_TURNS, LOITER_TIME: Action.LOITER_TIME, LAND: Action.LAND, TAKEOFF: Action.TAKEOFF,
-    PLACE: Action.PLACE,
+    LOITER_TO_HEIGHT: Action.LOITER_TO_HEIGHT, PLACE: Action.PLACE,
 }  # fmt: skip
 _HIGHEST_M, _FASTEST_MS, _LONGEST_S, _MOST_TURNS = 20_000.0, 100.0, 86_400.0, 10_000.0
 
@@ -34,7 +34,7 @@ _HARMLESS = frozenset(
      2501, 42600)
 )  # fmt: skip
 _NAMES = {
-    24: "a local take-off", 23: "a local landing", 25: "following", 30: "a change of height", 31: "loiter to a height",
+    24: "a local take-off", 23: "a local landing", 25: "following", 30: "a change of height",
     34: "an orbit", 36: "an arc", 83: "waiting for a height", 84: "a VTOL take-off", 85: "a VTOL landing",
     92: "guidance by another computer", 113: "a change of height", 176: "a change of mode",
     179: "a new home", 186: "a change of height", 190: "a landing at a rally point", 191: "going around",
@@ -153,7 +153,7 @@ def _stay(fields: Fields, item: MissionItem) -> MissionItem:
     if item.action is Action.LOITER_UNLIMITED:
         return replace(item, radius_m=_radius_m(fields.param3))
     may_be_open = item.action in (Action.WAYPOINT, Action.SPLINE) and fields.param1 != fields.param1
-    if may_be_open or item.action in (Action.TAKEOFF, Action.LAND, Action.PLACE):
+    if may_be_open or item.action in (Action.TAKEOFF, Action.LAND, Action.PLACE, Action.LOITER_TO_HEIGHT):
         return item
     if not 0.0 <= fields.param1 <= _LONGEST_S:
         return _unknown(fields, f"a stay of {fields.param1:g} s")
