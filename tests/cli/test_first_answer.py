@@ -118,6 +118,7 @@ def test_a_charge_that_every_row_refuses_is_not_the_charge_at_the_end() -> None:
         (Landing(9.0, 66.0, 0.0, 308.0, math.nan), math.nan, "You landed with 66 s left (0 s to 5 min 10 s)."),
         (Landing(9.0, 66.0, 0.0, 305.0, 0.0), 700.0, "below 13.20 V under load 11 min 40 s after"),
         (Landing(9.0, *(math.nan,) * 4, "no voltage in this row"), math.nan, "is not known: no voltage in this row."),
+        (Landing(9.0, *(math.nan,) * 4, "is it stuck?"), math.nan, "is not known: is it stuck?"),
         (None, math.nan, "No flight in this log"),
     ],
 )

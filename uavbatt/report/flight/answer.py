@@ -26,7 +26,7 @@ def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: floa
     opening = "The log ends in the air with" if landing.is_cut else "You landed with"
     if not math.isfinite(landing.remaining_s):
         why = _why_not_known(landing)
-        return f"How much longer you could have flown is not known: {why}."
+        return f"How much longer you could have flown is not known: {why}" + ("" if why.endswith("?") else ".")
     sentence = (
         f"{opening} {rounded(landing.remaining_s)} left ({between(landing.remaining_lo_s, landing.remaining_hi_s)})"
     )
