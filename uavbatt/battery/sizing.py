@@ -35,6 +35,7 @@ from uavbatt.limits import (
     ending_doubt,
     refuse_certain,
 )
+from uavbatt.nan_equal import nan_equal
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts
 
@@ -43,6 +44,7 @@ FROM_VEHICLE, FROM_BATTERY_FILE = "vehicle", "battery file"  # sources of a numb
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class PackOptions:
     """PackOptions holds what the caller states of the pack; None or NaN is not stated. Raises UsageError if impossible.

@@ -13,6 +13,7 @@ import msgspec
 from uavbatt.fleet.fly import Job, read
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, LOST, OK
+from uavbatt.nan_equal import nan_equal
 from uavbatt.packs.exchange import flight_of, plain_flight
 from uavbatt.packs.records import FlightRecord
 from uavbatt.packs.remembering import flight_for_ledger, key_of, name_of
@@ -20,6 +21,7 @@ from uavbatt.records import NAN
 from uavbatt.telemetry.discharges import of_discharges
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
     """A Lesson holds the record of a flight for the ledger. `status`: OK, or BAD or LOST if the log could not be read.

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from uavbatt.nan_equal import nan_equal
 from uavbatt.records import NAN
 
 OK, BAD = "ok", "bad"
@@ -24,6 +25,7 @@ IDENTITIES = ("battery_serial", "hardware", "system", "firmware", "kind")  # col
 CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightRow:
     """A FlightRow holds the result of one flight. `status`: OK, or BAD or LOST with the reason in words."""

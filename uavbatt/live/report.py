@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from uavbatt.nan_equal import nan_equal
 from uavbatt.notice import Kind, Notice, kind_of
 from uavbatt.output import Line, line, rounded, speaker
 from uavbatt.prediction.pending import ALARM_S
@@ -61,6 +62,7 @@ class EnduranceNow(NamedTuple):
 UNKNOWN = EnduranceNow()
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class Report:
     """Report holds the last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""

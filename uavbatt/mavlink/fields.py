@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from uavbatt.nan_equal import nan_equal
+
 HEARTBEAT, SYS_STATUS, PARAM_VALUE, BATTERY_STATUS, BATTERY2 = 0, 1, 22, 147, 181
 AUTOPILOT_VERSION = 148
 SMART_BATTERY_INFO, BATTERY_INFO = 370, 372
@@ -26,6 +28,7 @@ _PACK_SPLIT_MV = 65534  # a higher voltage is 65534 in voltages[0] plus the rest
 INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class BatteryFields:
     """BatteryFields holds one battery message in SI; NaN where the sender did not know."""
@@ -39,6 +42,7 @@ class BatteryFields:
     cell_voltages_V: tuple[float, ...] = ()
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class PackIdentity:
     """PackIdentity holds what one pack states of itself: serial, its own count of cycles, cells and rated capacity.

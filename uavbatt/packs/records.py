@@ -14,6 +14,7 @@ import numpy as np
 
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
+from uavbatt.nan_equal import nan_equal
 from uavbatt.records import NAN
 
 OWN = "@"  # joins the hash of a log's first rows and the start of the flight, if two flights have the same first rows
@@ -39,6 +40,7 @@ class FlightEvidence(NamedTuple):
         return np.array([[self.variance_ohm, self.covariance], [self.covariance, self.variance_Ah]])
 
 
+@nan_equal
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
     """A FlightRecord holds one flight of one pack; it does not depend on the flights before it."""
