@@ -136,7 +136,7 @@ def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
 
 def _said(columns: FloatArray, at_s: float, end_s: float) -> Said:
     """Return the last row at or before an instant."""
-    time_s, median_s, lo_s, hi_s = (float(c) for c in columns[:, np.searchsorted(columns[0], at_s + 1e-6) - 1])
+    time_s, median_s, lo_s, hi_s = (float(c) for c in columns[:, int(np.searchsorted(columns[0], at_s + 1e-6)) - 1])
     return Said(end_s - time_s, median_s, lo_s, hi_s)
 
 

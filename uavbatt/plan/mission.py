@@ -236,7 +236,7 @@ def _leg_ends(way: Path, ahead: Ahead, leg_of: Column, flying: Flying, end_s: Ar
 
 def _air_remark(ahead: Ahead) -> str:
     """Return a warning of legs that need more airspeed than multirotors have; empty without such a leg."""
-    fastest_ms = float(ahead.pieces.airspeed_ms.max())
+    fastest_ms = float(np.max(ahead.pieces.airspeed_ms))
     if fastest_ms <= FASTEST_USUAL_MS:
         return ""
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"

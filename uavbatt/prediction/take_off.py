@@ -50,7 +50,7 @@ class FromTakeOff:
     def typical_W(self, now: FlightPoint) -> float:
         """Return the median of the flights' mean powers [W], or less where the horizon would cut off a gentle one."""
         begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
-        return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
+        return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * np.min(begun)))
 
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every past flight from its first second, whatever the charge: the pack may start part-used.

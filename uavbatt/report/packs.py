@@ -150,8 +150,8 @@ def _trend(flights: Sequence[LedgerFlight], which: int, unit: float) -> Html:
             axes.plot(place[odd], from_flight[odd], "x", color=plot.RED, markersize=7.0, label="odd")
         low, high = float(np.min(estimates / factor)), float(np.max(estimates * factor))
         axes.set_ylim(
-            min(0.75 if which == CHARGE else 0.9, low, 0.98 * from_flight.min()),
-            max(1.1, high, 1.02 * from_flight.max()),
+            min(0.75 if which == CHARGE else 0.9, low, 0.98 * np.min(from_flight)),
+            max(1.1, high, 1.02 * np.max(from_flight)),
         )
 
     svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name)

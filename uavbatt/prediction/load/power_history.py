@@ -104,7 +104,7 @@ class PowerHistory(NamedTuple):
             apart += np.square((level[:-1] - level[-1]) / LIKE_SD)
         alike, is_known = np.exp(-0.5 * apart), middles_s < self.length_s - max(LIKE_S)
         alike[~is_known] = np.mean(alike[is_known]) if is_known.any() else 1.0
-        share = (1.0 - ANY_SHARE) * alike / max(alike.sum(), LEAST_ALIKE) + ANY_SHARE / alike.size
+        share = (1.0 - ANY_SHARE) * alike / max(float(np.sum(alike)), LEAST_ALIKE) + ANY_SHARE / alike.size
         return np.concatenate([[0.0], np.cumsum(share / share.sum())])
 
     def _energy_until(self, times: int = 1) -> tuple[Array, Array]:

@@ -63,4 +63,4 @@ def _left_by_a_step(ratio: Array) -> float:
     counts = np.arange(1, ratio.size)
     before, after = np.cumsum(ratio)[:-1] / counts, np.cumsum(ratio[::-1])[-2::-1] / counts[::-1]
     explained = counts * counts[::-1] / ratio.size**2 * (after - before) ** 2
-    return math.sqrt(max(float(np.var(ratio) - explained.max()), 0.0))
+    return math.sqrt(max(float(np.var(ratio) - np.max(explained)), 0.0))

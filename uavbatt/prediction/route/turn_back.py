@@ -168,7 +168,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, 
     told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, bends, rough])
     counts = np.bincount(turn_of, minlength=turn_at_s.size)
     ends = np.cumsum(counts)
-    step = np.arange(counts.max())[:, None]
+    step = np.arange(np.max(counts))[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
     length_s, *others = told[:, index]  # a way that is over repeats its last step with a length of 0
     return Homewards(np.where(is_flown, length_s, 0.0), *others)

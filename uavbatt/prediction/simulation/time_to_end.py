@@ -69,7 +69,7 @@ def time_to_end(
         before = under.c_rate
         if row == recent.soc.shape[0] - 1 or k == count - 1:
             ends = _judged(limits, ends, recent, k)
-            if np.isfinite(ends.end_s).mean(axis=-1).min() >= enough:
+            if np.min(np.isfinite(ends.end_s).mean(axis=-1)) >= enough:
                 break
         if flying.by_rows:
             mean_WpAh = 0.5 * (asked_WpAh[k] + asked_WpAh[min(k + 1, count - 1)])

@@ -97,7 +97,7 @@ def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
         if has_end
         else "The flight ended before its battery did, so that there is no truth to compare"
     )
-    over = rows.hi_s[~np.isnan(rows.hi_s)].max(initial=0.0) / 60.0 > top_min
+    over = np.max(rows.hi_s[~np.isnan(rows.hi_s)], initial=0.0) / 60.0 > top_min
     kinds = {s.status for s in axis.stretches if s.duration_s > 0.0}
     hatched = "; hatched: no forecast" if Status.REFUSED in kinds else ""
     shaded = "; shaded: not yet settled" if Status.CONVERGING in kinds else ""

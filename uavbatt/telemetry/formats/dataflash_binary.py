@@ -149,7 +149,7 @@ class _Records:
                 self._places.setdefault(index, []).append(where[which == index])
         with_time = timed[which]
         if with_time.any():
-            ends = int(with_time.argmax()), len(which) - 1 - int(with_time[::-1].argmax())
+            ends = int(np.argmax(with_time)), len(which) - 1 - int(np.argmax(with_time[::-1]))
             first, last = (self._moment(where[i], layouts[which[i]]) for i in ends)
             self.first, self.last = self.first or first, last
 

@@ -180,7 +180,7 @@ def _with_times(
     clock = DataflashClock(told.order, told.value, times_s(log, told.value))
     told = told._replace(value=clock.time_s)
     counted = _counted([t for t in tables if _BATTERY.match(t.layout.name) and not t.layout.ticks_per_s])
-    log.now_s = max(log.now_s, float(counted.value.max(initial=0.0)))
+    log.now_s = max(log.now_s, float(np.max(counted.value, initial=0.0)))
     if not len(told.order):
         clock = DataflashClock(*counted, np.maximum.accumulate(counted.value))
     both = _change([told, counted])

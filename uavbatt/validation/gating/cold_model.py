@@ -130,7 +130,7 @@ def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Arr
 
 def _nuisance(term: str, at: dict[str, Array], series: NDArray[np.intp]) -> Array:
     out = np.zeros(series.shape)
-    for k in range(1, int(series.max(initial=0)) + 1):
+    for k in range(1, int(np.max(series, initial=0)) + 1):
         out = np.where(series == k, at.get(f"{term}_{k}", 0.0), out)
     return out
 

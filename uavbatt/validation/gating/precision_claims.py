@@ -83,7 +83,7 @@ def reproducibility_claim(
     verdict, reason = gate.decide(bias, half, limits.voltage_V)
     full_reason = f"{k} samples of one make in one laboratory: {reason}"
     return Claim(name, held_out.ambient_C, verdict, full_reason, False, held_out.time_s[at], bias, half, guard,
-                 limits.voltage_V, "V", statistics={**p_value, "A_R": A_R, "least_df": float(df.min())})  # fmt: skip
+                 limits.voltage_V, "V", statistics={**p_value, "A_R": A_R, "least_df": float(np.min(df))})  # fmt: skip
 
 
 def _why_not_independent(k: int, all_k: int, linked: Dependence) -> str:

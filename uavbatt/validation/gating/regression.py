@@ -132,7 +132,7 @@ def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
 def fit_regression(rows: RunTable, cells: int) -> Regression:
     """Fit the most probable coefficients under wide priors; outliers beyond ROBUST_SDS count less."""
     start, sd = guess(rows, cells)
-    others, n = int(rows.series.max()), len(NAMES)
+    others, n = int(np.max(rows.series)), len(NAMES)
     spread = np.concatenate([sd, np.tile([SERIES_LEVEL_SD_V * cells, SERIES_KNEE_SD], others)])
 
     def unpacked(u: Array) -> Regression:

@@ -90,7 +90,7 @@ def close_loop(
         ambient_C=tests.ambient_C,
         series_C=tuple(
             (float(np.min(tests.ambient_C[tests.series == k])), float(np.max(tests.ambient_C[tests.series == k])))
-            for k in range(int(tests.series.max()) + 1)
+            for k in range(int(np.max(tests.series)) + 1)
         ),
         groups=groups,
         isothermal=held_out,
@@ -123,11 +123,11 @@ def _cold(tests: OneTimeTests) -> OneTimeTests:
 def _groups(tests: OneTimeTests) -> dict[str, tuple[float, float]]:
     """Return the temperature ranges: the cold, the rest of each series, and all."""
     out, T = {}, tests.ambient_C
-    for rows in (T <= COLD_C, *((tests.series == k) & (T > COLD_C) for k in range(int(tests.series.max()) + 1))):
+    for rows in (T <= COLD_C, *((tests.series == k) & (T > COLD_C) for k in range(int(np.max(tests.series)) + 1))):
         if rows.any():
             low, high = float(T[rows].min()), float(T[rows].max())
             out[f"{low:+g} to {high:+g} °C"] = (low, high)
-    return {**out, "all": (float(T.min()), float(T.max()))}
+    return {**out, "all": (float(np.min(T)), float(np.max(T)))}
 
 
 def _rise(time_s: Array, voltage_V: Array) -> Array:
@@ -178,7 +178,7 @@ def _outcome(
     groups: Mapping[str, tuple[float, float]],
     smaller: list[cold_model.ColdFit],
 ) -> tuple[VariantOutcome, cold_model.ColdFit]:
-    T, count = tests.ambient_C, int(tests.series.max()) + 1
+    T, count = tests.ambient_C, int(np.max(tests.series)) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
     fit = cold_model.fit_cold_model(variant, tests, count, inside, _fresh_starts(variant))
     fitted, unseen = cold_model.residuals(fit, tests), np.empty((T.size, tests.time_s.size))

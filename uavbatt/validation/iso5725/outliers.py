@@ -179,7 +179,7 @@ def cochran(cells: Cells) -> Cochran:
     variances = summary.variances[repeated]
     total = math.fsum(variances)
     index = int(repeated[int(np.argmax(variances))])
-    statistic = float(variances.max()) / total if total > 0 else math.nan
+    statistic = float(np.max(variances)) / total if total > 0 else math.nan
     critical_5, critical_1 = cochran_critical(p, n, 0.05), cochran_critical(p, n, 0.01)
     notes = [f"unequal numbers of results: n = {n} used"] if np.ptp(summary.counts[repeated]) else []
     if total == 0:
@@ -203,7 +203,7 @@ def grubbs(means: ArrayLike) -> Grubbs:
         raise NotEnoughData(f"Grubbs' test needs three values or more, found {p}")
     deviations, squares = spread(values)
     sd = math.sqrt(squares / (p - 1))
-    high, low = (float(deviations.max()) / sd, -float(deviations.min()) / sd) if sd > 0 else (0.0, 0.0)
+    high, low = (float(np.max(deviations)) / sd, -float(np.min(deviations)) / sd) if sd > 0 else (0.0, 0.0)
     critical_5, critical_1 = grubbs_critical(p, 0.05), grubbs_critical(p, 0.01)
     is_tie = p == 3 and np.unique(values).size < 3
     verdicts: list[Verdict] = ["ok" if is_tie else _verdict(g, critical_5, critical_1) for g in (high, low)]

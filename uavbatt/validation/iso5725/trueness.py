@@ -160,7 +160,7 @@ def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
     if not 0 <= s_r < math.inf:
         raise BadCells(f"expected an s_r of at least 0, found {s_r:g}")
     factor = round(range_factor(len(values)), 1)
-    width = float(values.max() - values.min())
+    width = float(np.max(values) - np.min(values))
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
     share = sum(bool(p > LIMIT_FACTOR * s_r) for p in pairs) / len(pairs)
     return RangeCheck(width, factor, float(factor * s_r), bool(width <= factor * s_r), share)

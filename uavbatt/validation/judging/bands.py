@@ -127,7 +127,7 @@ def crossed_variance(y: Array) -> Array:
 
 def _ratio(gap: Array, sd: Array) -> Array:
     """Return gap/sd, 0 where both are zero (a level without spread holds everything)."""
-    tiny = 1e-12 * max(float(sd.max(initial=0.0)), 1e-300)
+    tiny = 1e-12 * max(float(np.max(sd, initial=0.0)), 1e-300)
     ratio: Array = np.where(sd > tiny, gap / np.maximum(sd, tiny), 0.0)
     return ratio
 

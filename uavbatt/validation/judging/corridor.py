@@ -255,7 +255,7 @@ def from_quasi_replicates(ambient_C: float, group: QuasiReplicates, notes: tuple
     n_eff = np.full(levels, 1 / group.leverage(ambient_C))
     tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, group.df, strict=True)])
     s, unknown = group.sd, np.full(levels, math.nan)
-    low, high = float(group.ambients_C.min()), float(group.ambients_C.max())
+    low, high = float(np.min(group.ambients_C)), float(np.max(group.ambients_C))
     source = f"scatter of {m} one-time curves about a line from {low:g} to {high:g} °C, one series of one pack"
     remarks = (source, *(f"left out: {reading}" for reading in group.left_out))
     return Corridor(

@@ -235,7 +235,7 @@ def curve_step(table: Array) -> StepTest:
     centred = table - table[0]
     centred = centred - centred.mean(axis=0)
     shares = step_share(centred)
-    best, after = float(shares.max()), int(np.argmax(shares)) + LEAST_RUNS
+    best, after = float(np.max(shares)), int(np.argmax(shares)) + LEAST_RUNS
     random = step_share(centred[permutations(n, STEP_PERMUTATIONS)]).max(axis=-1)
     mean = np.round(centred.mean(axis=1), 12)  # equal means stay equal
     size = float(mean[after:].mean() - mean[:after].mean())

@@ -113,7 +113,7 @@ def independence(first: Array, second: Array, resolution: float = 0.0) -> Indepe
     p_r = (extra + int(np.sum(random_r >= observed_r - 1e-12))) / total
     enough = 1 / total < DEPENDENT_BELOW
     dependent = min(p_same, p_r) < DEPENDENT_BELOW if enough else None
-    counts = (observed_same, a.size, float(random_same.mean()), int(random_same.max()))
+    counts = (observed_same, a.size, float(random_same.mean()), int(np.max(random_same)))
     return Independence(*counts, p_same, observed_r, p_r, dependent)
 
 
@@ -138,7 +138,7 @@ def dependence(table: Array, resolution: float = 0.0) -> Dependence:
             together[s, 0] += np.trace(matrix)
             together[s, 1:] += matrix[orders[i], orders[j]].sum(axis=1)
     reached = (together[:, 1:] >= together[:, :1] - 1e-12).sum(axis=1)
-    p = min(1.0, 2.0 * (1.0 + float(reached.min())) / (RANDOM_PAIRINGS + 1.0))
+    p = min(1.0, 2.0 * (1.0 + float(np.min(reached))) / (RANDOM_PAIRINGS + 1.0))
     attainable = 2.0 / math.factorial(min(n, 12)) ** (k - 1) < DEPENDENT_BELOW
     return Dependence(p, p < DEPENDENT_BELOW if attainable else None)
 
@@ -173,13 +173,13 @@ def bimodality(results: ArrayLike, step: float | None = None) -> Bimodality:
     random = np.round(random / grain) * grain if grain > 0 else random
     p = (1 + int(np.sum(split_share(random) >= share - 1e-9))) / (RANDOM_RESULTS + 1)
     apart = min(at, n - at) >= 2 and float(gaps[at - 1]) >= 3 * grain - 1e-9
-    return Bimodality(float(gaps.max()), (at, n - at), bool(apart and p < 0.05 and share > 0))
+    return Bimodality(float(np.max(gaps)), (at, n - at), bool(apart and p < 0.05 and share > 0))
 
 
 def resolution(results: ArrayLike, step: float | None = None) -> Resolution:
     """Compare the smallest difference between results (or the `step` given) with their SD; coarse below two steps."""
     values = numbers(results, "results")
     distinct = np.unique(np.round(values, 9))
-    grain = float(np.diff(distinct).min()) if step is None and len(distinct) > 1 else step or 0.0
+    grain = float(np.min(np.diff(distinct))) if step is None and len(distinct) > 1 else step or 0.0
     sd = float(values.std(ddof=1)) if len(values) > 1 else 0.0
     return Resolution(grain, sd < 2 * grain or sd == 0)

@@ -102,7 +102,7 @@ def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | Non
     score = excess / scatter
     return tuple(
         Break(float(T[i]), float(T[i + 1]), float(dk[i]), float(score[i]))
-        for i in np.flatnonzero(np.abs(score) > BREAK_SCORE)
+        for i in np.flatnonzero(np.abs(score) > BREAK_SCORE).tolist()
     )
 
 
