@@ -11,6 +11,7 @@ from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.live.carriers import Carriers
 from uavbatt.live.feeds.announced import Announcer
 from uavbatt.live.feeds.named import NamedFeed
 from uavbatt.live.feeds.web import content
@@ -79,6 +80,17 @@ def test_a_row_without_a_current_is_not_a_battery_that_gives_nothing() -> None:
         headline.in_order({0: one, 1: other}, float(k))
         since_s += [k] if headline.notes else []
     assert since_s == [7, 8, 9]  # for three seconds
+
+
+def test_a_row_without_a_current_does_not_delay_a_pack_that_takes_the_load_over() -> None:
+    carriers, carrying = Carriers(), list[frozenset[int]]()
+    for k in range(6):
+        lifted = replace(report(0, 400.0, at_s=float(k)), flown_J=36_000.0, flown_s=200.0)
+        taking = report(1, 300.0, at_s=float(k))
+        if k == 2:
+            taking = replace(taking, estimate=replace(taking.estimate, current_A=NAN, power_W=NAN))
+        carrying.append(carriers.after({0: lifted, 1: taking}, float(k), is_armed=True))
+    assert carrying == [{0}, {0}, {0}, {0, 1}, {0, 1}, {0, 1}]
 
 
 def test_a_battery_alone_that_is_charged_by_braking_motors_is_not_said_to_give_nothing() -> None:
