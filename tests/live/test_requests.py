@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.requests.parameters import MOST_ASKED, Requests, parameter_names
@@ -36,6 +38,13 @@ def test_each_parameter_is_asked_for_once_before_any_is_asked_for_again() -> Non
     found = [name for name in asked(Requests(5.0), 30.0, "A", "B", "C", B=1.0) if name != 147]
     assert found[:3] == ["A", "B", "C"]  # a known one once: it may have changed before we heard
     assert [found.count(name) for name in "ABC"] == [MOST_ASKED, 1, MOST_ASKED]
+
+
+def test_a_slow_link_is_not_flooded_with_requests_for_parameters() -> None:
+    requests, names, at_s = Requests(5.0), [f"P{k}" for k in range(30)], []
+    for k in range(200):
+        at_s += [0.01 * k for name in said(requests.frames(0.01 * k, 1, {}, names, OUT)) if name != 147]
+    assert 18 <= len(at_s) <= 20 and min(b - a for a, b in pairwise(at_s)) > 0.09
 
 
 def test_after_a_gap_everything_is_asked_for_again() -> None:
