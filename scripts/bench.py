@@ -32,7 +32,7 @@ import time
 begin = time.perf_counter()
 import uavbatt.cli.live_process, uavbatt.live.daemon, filterpy.kalman
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.records import Sample
 estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0))

@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink.endpoint import Chunk

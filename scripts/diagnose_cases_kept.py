@@ -24,7 +24,7 @@ from scoring.truth import truth_battery
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.log_replay.run import engine_for
 

@@ -23,7 +23,7 @@ from scoring.data import M100_CELLS, M100_CUTOFF_V
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.worth import left_out_values

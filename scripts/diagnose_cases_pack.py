@@ -12,7 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.engine import Engine
 from uavbatt.fitting.observed import ObservedRecord, from_flight
 from uavbatt.log_replay.run import engine_for

@@ -18,7 +18,7 @@ from typing import Any
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import FeedSection
 from uavbatt.live.feeds.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing

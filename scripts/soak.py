@@ -18,7 +18,7 @@ from pathlib import Path
 from bench.memory import resident_MB
 from daemon_bench import Bench
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import LinkSection, PackSection, RecordSection, StateSection
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample

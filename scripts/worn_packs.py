@@ -72,7 +72,7 @@ def score(folder: Path, battery: Path) -> None:
     from scoring.lines import logged, ours, replayed
 
     from uavbatt.battery.battery_file import read_battery
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.scoring.end_of_flight import end_of_flight
     from uavbatt.telemetry import read_log

@@ -6,7 +6,7 @@ from functools import cache
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings

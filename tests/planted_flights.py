@@ -10,7 +10,7 @@ import numpy as np
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.scaling import cell_parameters
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for

@@ -11,7 +11,7 @@ import msgspec
 from uavbatt.battery import battery_file
 from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.navigation import METRES_PER_DEGREE, Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
 from uavbatt.plan.endurance import TakeOff, resolve
 from uavbatt.plan.mission import MissionPlan, PlannedMission, make_route_plan

@@ -20,7 +20,7 @@ from factories import generic_pack
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator

@@ -24,7 +24,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehicle
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator

@@ -16,7 +16,7 @@ from frames import frame
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt import Estimator
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.limits import told_cells
 from uavbatt.records import NAN, Sample
 

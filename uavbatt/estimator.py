@@ -23,11 +23,11 @@ from typing import NamedTuple
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
-from uavbatt.battery.known_size import KnownSize, before_any_row
 from uavbatt.battery.pack import typical_power_W
 from uavbatt.battery.remembered import PackHealth, of_known_cells, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions, PackSize, sized
+from uavbatt.battery.sizing.known_size import KnownSize, before_any_row
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack

@@ -22,7 +22,7 @@ from uavbatt import compiled
 from uavbatt.battery import battery_file
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimation.filter import SocFilter

@@ -73,7 +73,7 @@ from uavbatt.battery import battery_file
 from uavbatt.fleet import run
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import find_logs
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 if __name__ == "__main__":
     logs, output, workers = sys.argv[1:]
     found, rows = find_logs([logs]), []

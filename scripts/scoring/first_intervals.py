@@ -19,7 +19,7 @@ from scoring.truth import PACK as TRUTH_PACK
 from scoring.truth import truth_battery
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery

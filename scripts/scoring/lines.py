@@ -9,7 +9,7 @@ import numpy as np
 from peers.columns import FloatArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings

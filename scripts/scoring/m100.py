@@ -15,7 +15,7 @@ from scoring.data import M100, M100_CELLS, M100_CUTOFF_V, ended
 from scoring.lines import Lines, logged, ours, replayed
 from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import fit_vehicle
 from uavbatt.prediction.forecaster import ForecastSettings

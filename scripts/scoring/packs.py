@@ -17,7 +17,7 @@ from scoring.table import DASH, Table, figure
 from scoring.truth import FLYING_A
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import steps
 from uavbatt.packs import remembering

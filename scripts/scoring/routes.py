@@ -25,7 +25,7 @@ from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from scoring.peer_turns import turn_lines
 from scoring.table import Table, figure, grid
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import fit_vehicle

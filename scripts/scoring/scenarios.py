@@ -12,7 +12,7 @@ from functools import cache
 
 from scoring.live_flight import Extra, Flown, flown_live, heartbeat, parameter
 from scoring.other_pack import CUTOFF_V, FULL_AH, LIHV, Pack, Power, drawn, flown, rested
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.records import Sample
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=CUTOFF_V)

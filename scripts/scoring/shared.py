@@ -14,7 +14,7 @@ from scoring.m100 import RATED_AH
 from scoring.table import Table, figure, with_error
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.outcome import Outcome, outcome

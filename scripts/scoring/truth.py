@@ -14,7 +14,7 @@ from scoring.lines import logged, ours, replayed
 from scoring.table import DASH, Table, figure
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.forecaster import ForecastSettings

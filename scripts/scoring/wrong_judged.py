@@ -15,7 +15,7 @@ from scoring.other_pack import CELLS, FULL_AH, Flown, Make
 from scoring.wrong_cases import GAUGED, GENERIC, Case, fitted
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps

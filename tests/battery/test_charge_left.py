@@ -8,7 +8,7 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.battery.spreads import spread_of
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for

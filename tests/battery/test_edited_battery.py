@@ -83,7 +83,7 @@ def test_a_plan_says_it(tampered: Path) -> None:
 
 def test_a_fleet_says_it(tampered: Path, short_log: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.fleet.fly import Job, fly_log
     from uavbatt.fleet.logs import find_logs
 

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file
 from uavbatt.battery import vehicle_file as vehicle
 from uavbatt.battery.powers import Powers
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError

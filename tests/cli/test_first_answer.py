@@ -16,7 +16,7 @@ from command import UAVBATT, called
 
 from uavbatt import Estimator, Sample
 from uavbatt.battery.battery_file import read_battery
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.records import Flight

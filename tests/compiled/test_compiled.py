@@ -19,7 +19,7 @@ from uavbatt.battery import battery_file, model, openloop
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.compiled import cache as compiled_cache
 from uavbatt.compiled.fallback import plain_where_it_fails
@@ -312,7 +312,7 @@ def test_in_flight_numba_is_never_imported() -> None:
     code = (
         "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.live.tracked_battery\n"
         "from uavbatt.battery import battery_file\n"
-        "from uavbatt.battery.sizing import PackOptions\n"
+        "from uavbatt.battery.sizing.pack_size import PackOptions\n"
         "from uavbatt.estimator import Estimator\n"
         "from uavbatt.prediction.forecaster import ForecastSettings\n"
         "from uavbatt.records import Sample\n"

@@ -16,7 +16,7 @@ from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile, EffectEntry
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis import close, gate
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight

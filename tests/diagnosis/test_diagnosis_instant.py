@@ -7,7 +7,7 @@ import pytest
 from planted_flights import FILE, MISSIONS, fly
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import INSTANT_SD, INSTANT_SHARE, Diagnosis, diagnose, instant_sd
 from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for

@@ -11,7 +11,7 @@ import pytest
 from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.battery_file import Wander
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis import pairs
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.candidates import NOTHING, Candidate

@@ -12,7 +12,7 @@ import pytest
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.observed import from_flight

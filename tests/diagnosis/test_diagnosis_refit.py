@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
 from uavbatt.diagnosis.late_current import SHIFTS_S, metered_current
 from uavbatt.diagnosis.problem import Problem

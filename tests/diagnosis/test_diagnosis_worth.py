@@ -12,7 +12,7 @@ import pytest
 from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.battery_file import Wander
-from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
 from uavbatt.diagnosis.diagnosis import Diagnosis, candidate_probability, diagnose, options_of, problem_of

@@ -10,7 +10,7 @@ import pytest
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Pack, flown, rested
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.state_space import Belief
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for

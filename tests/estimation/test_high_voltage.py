@@ -13,7 +13,7 @@ from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, LIHV, Pack, rested
 from scoring.scenarios import STATED, another, flight
 
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import StateSection
 from uavbatt.records import Estimate, Remaining, Sample, Status
 

@@ -10,7 +10,7 @@ from scoring.other_pack import CELLS, FULL_AH, Pack, rested
 from scoring.wrong_judged import Judged
 
 from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION, read_battery
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 
 # Two flights of each make (NCA, NMC, NMC with silicon): packs of 72 to 102 %, full and not.

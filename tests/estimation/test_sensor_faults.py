@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from factories import generic_estimator, generic_pack
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimation.sensor_row import SensorRow
 from uavbatt.estimation.still_sensors import STUCK_S, SensorChanges
 from uavbatt.estimation.voltage_and_load import DEAD_S

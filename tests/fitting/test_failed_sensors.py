@@ -11,7 +11,7 @@ from command import called
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimation.sensor_faults import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.failed_sensors import failed_spans, without_failed

@@ -9,7 +9,7 @@ import numpy as np
 from scoring.other_pack import LIHV, Pack, Power, flight
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.log_replay.run import engine_for

@@ -21,7 +21,7 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
 from uavbatt.fleet.fly import Job, fly_log

@@ -12,7 +12,7 @@ from frames import hover, write_log
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.journal import job_key

@@ -22,7 +22,7 @@ from live_rig import PATIENCE_S, until
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.fleet import run
 from uavbatt.fleet.errand import Errand
 from uavbatt.fleet.fly import Job, fly_log, lost_row

@@ -13,9 +13,9 @@ import pytest
 from daemon_bench import OPTIONS, Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery import statements
 from uavbatt.battery.battery_file import read_battery
-from uavbatt.battery.sizing import PackOptions, size_of_pack
+from uavbatt.battery.sizing import statements
+from uavbatt.battery.sizing.pack_size import PackOptions, size_of_pack
 from uavbatt.estimation import filter as soc_filter
 from uavbatt.estimation import monitor, sensor_faults
 from uavbatt.estimation.filter import NO_CURRENT, known_only_to

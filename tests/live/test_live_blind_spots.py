@@ -10,7 +10,7 @@ from daemon_bench import Bench
 from factories import generic_pack
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight

@@ -10,7 +10,7 @@ import pytest
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.carriers import Carriers
 from uavbatt.live.feeds.announced import Announcer
 from uavbatt.live.feeds.named import NamedFeed

@@ -19,7 +19,7 @@ from live_rig import PATIENCE_S, ROOT, Pty, StreamVehicle, Vehicle, connecting, 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.live.config import Config, FeedSection, HttpSection, LinkSection, checked
 from uavbatt.live.daemon import Daemon

@@ -11,7 +11,7 @@ from daemon_bench import Bench
 from frames import HOME_POSITION, smart_info
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import LinkSection, RecordSection, StateSection
 from uavbatt.records import Sample
 from uavbatt.simulate.dataflash_writer import write_dataflash

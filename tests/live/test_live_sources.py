@@ -10,7 +10,7 @@ import pytest
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import RecordSection
 from uavbatt.records import Sample, Status
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat, sys_status

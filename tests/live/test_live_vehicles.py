@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import GROUND_ROWS, SELDOM, flight, true_soc
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import Config, LinkSection, RecordSection, StateSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.live.feeds import proxy

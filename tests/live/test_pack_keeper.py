@@ -11,7 +11,7 @@ import pytest
 from uavbatt.battery import battery_file
 from uavbatt.battery.model import open_circuit_voltage
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.memory.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger

@@ -9,7 +9,7 @@ from daemon_bench import Bench
 from frames import HOME_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import LinkSection
 from uavbatt.live.requests.streams import MOST_ASKED, RATES_Hz, StreamRequests, unheard
 from uavbatt.mavlink.outgoing import Outgoing

@@ -7,7 +7,7 @@ from scoring.live_flight import flown_live
 from scoring.scenarios import ARDUPILOT, UNSTATED, part
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.voltage_watch import VoltageWatch
 from uavbatt.records import PackFacts, Sample
 

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 import uavbatt
 from uavbatt.battery.battery_file import read_battery
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.fitting.vehicle import trace
 from uavbatt.records import Flight, Status

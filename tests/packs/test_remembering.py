@@ -14,7 +14,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike, wear_of
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.packs import remembering
 from uavbatt.packs.ageing import history

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions, sized
+from uavbatt.battery.sizing.pack_size import PackOptions, sized
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError

@@ -9,7 +9,7 @@ import pytest
 from scoring.other_pack import CELLS, CUTOFF_V, Pack, Power, drawn, flown, rested
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.pending import ENDS_SOON

@@ -19,7 +19,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array, Parameters, rested, source, source_from
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_doubt
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps

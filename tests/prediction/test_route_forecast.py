@@ -12,7 +12,7 @@ from factories import generic_pack, with_spread
 from route_rig import HOME, POWERS, SETTINGS, mission, to
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, EstimatorMemory
 from uavbatt.navigation import (

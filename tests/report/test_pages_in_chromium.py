@@ -28,7 +28,7 @@ from route_rig import planned, to
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass, Interval
 from uavbatt.diagnosis.close import ClosedLoop, HeldOutErrors

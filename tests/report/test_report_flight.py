@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.navigation import Mode, Navigation

@@ -18,7 +18,7 @@ from scoring.peer_lines import MAH
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import fit_vehicle

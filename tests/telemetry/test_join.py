@@ -11,7 +11,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings

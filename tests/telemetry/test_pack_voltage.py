@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from daemon_bench import Bench
 
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.fields import BatteryFields
 from uavbatt.records import Sample

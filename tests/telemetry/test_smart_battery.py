@@ -13,8 +13,8 @@ from frames import battery_row, frame, hover, smart, write_log
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.log_statements import size_from_rows
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.sizing.log_statements import size_from_rows
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 

@@ -14,8 +14,8 @@ from scoring.other_pack import CELLS, CUTOFF_V, Flown, Pack, Power
 from scoring.other_pack import flight as flown_flight
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.log_statements import size_from_rows
-from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack
+from uavbatt.battery.sizing.log_statements import size_from_rows
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, size_of_pack
 from uavbatt.estimator import Estimator
 from uavbatt.mavlink import fields
 from uavbatt.packs.remembering import flight_for_ledger

@@ -19,7 +19,7 @@ from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 
 REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most so far apart in ln of the capacity
 CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service

@@ -143,7 +143,7 @@ def _run(
 ) -> tuple[Diagnosis, ClosedLoop, BatteryFile, BasePack]:
     """Return the diagnosis, the errors before and after it, the extended battery file, and the pack it began with."""
     from uavbatt import dataset as data
-    from uavbatt.battery.sizing import PackOptions, pack_from
+    from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
     from uavbatt.cli.diagnose_worn import base_pack
     from uavbatt.diagnosis import close
     from uavbatt.diagnosis.diagnosis import diagnose as find

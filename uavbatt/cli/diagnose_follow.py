@@ -26,7 +26,7 @@ from uavbatt.records import Flight
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.diagnosis.follow import Follow, FollowedEffect
     from uavbatt.packs.ledger import Ledger
 
@@ -91,7 +91,7 @@ def _of_the_ledger(flights: list[Flight], ledger: Ledger, pack: str) -> list[Fli
 
 
 def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, without: tuple[str, ...]) -> Follow:
-    from uavbatt.battery.sizing import PackOptions, pack_from
+    from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
     from uavbatt.diagnosis.follow import follow
     from uavbatt.log_replay.run import engine_for
 

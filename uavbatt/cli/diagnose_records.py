@@ -18,7 +18,7 @@ from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
     from uavbatt.cli.options import ResultFiles
     from uavbatt.dataset import DataSet
     from uavbatt.fitting.observed import ObservedRecord
@@ -98,7 +98,7 @@ def distinct(flights: list[Flight]) -> list[Flight]:
 
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
     """Return the size of a flight's pack. Raises UsageError if the rows of the flight contradict it."""
-    from uavbatt.battery.log_statements import whole_size
+    from uavbatt.battery.sizing.log_statements import whole_size
 
     return _rounded(whole_size(content, stated, flight))
 
@@ -108,7 +108,7 @@ def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> 
 
     Raises UsageError if no size fits.
     """
-    from uavbatt.battery.sizing import checked, size_of_pack
+    from uavbatt.battery.sizing.pack_size import checked, size_of_pack
 
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
     voltages = FirstVoltages(dataset.first_V)

@@ -28,7 +28,7 @@ from uavbatt.output import counted
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.dataset import DataSet
     from uavbatt.fitting.battery import FittedBattery, RecordedPack
@@ -102,7 +102,7 @@ def _written(content: BatteryFile, output: Path) -> Path:
 
 def _known(battery: BatteryFile, flights: list[Flight], stated: PackOptions) -> BatteryFile:
     """Return the battery file. Raises UsageError if a flight contradicts what is stated of its pack."""
-    from uavbatt.battery.log_statements import check_statements
+    from uavbatt.battery.sizing.log_statements import check_statements
 
     for flight in flights:
         check_statements(battery, stated, flight)
@@ -114,7 +114,7 @@ def _size_by(battery: BatteryFile, flight: Flight, stated: PackOptions) -> PackS
 
     Raises UsageError if a row of the flight contradicts the size for certain.
     """
-    from uavbatt.battery.log_statements import whole_size
+    from uavbatt.battery.sizing.log_statements import whole_size
 
     is_read = any(math.isfinite(s.voltage_V) for s in flight.samples)
     return whole_size(battery, stated, flight) if is_read else None
@@ -134,7 +134,7 @@ def _sound(flight: Flight, size: PackSize | None) -> Flight:
 
 def _pack(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> RecordedPack:
     """Return the size of the pack of all records. Raises UsageError if a flight contradicts what is stated of it."""
-    from uavbatt.battery.log_statements import check_whole
+    from uavbatt.battery.sizing.log_statements import check_whole
     from uavbatt.fitting.battery import size_of
     from uavbatt.limits import Resting
 

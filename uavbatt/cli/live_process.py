@@ -19,7 +19,7 @@ from uavbatt.errors import UavbattError, UsageError, terminal_line
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.live.config import Config, PackSection
     from uavbatt.mavlink.endpoint import Link
     from uavbatt.prediction.forecaster import ForecastSettings
@@ -119,7 +119,7 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 def pack_and_forecasts(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
     """Return the pack and the forecasts as the configuration states them. Raises UsageError for `--load log`."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load.options import stated_load
     from uavbatt.records import NAN, Flight

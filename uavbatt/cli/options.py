@@ -16,7 +16,7 @@ from uavbatt.records import NAN
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
 
 STANDARD_OUTPUT = Path("-")
 
@@ -81,7 +81,7 @@ def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
     """Return the pack that the options state. Raises UsageError if the pack or the reserve is impossible."""
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 
     capacity_Ah, cutoff_V = (

@@ -15,7 +15,7 @@ from uavbatt.output import counted
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.remembered import PackHealth
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.records import PackFinding, PackRow
     from uavbatt.records import Flight

@@ -37,7 +37,7 @@ from uavbatt.output import clock
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.plan.endurance import Endurance, Plan
     from uavbatt.prediction.load.scenarios import Load
     from uavbatt.records import Flight

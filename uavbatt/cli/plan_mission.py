@@ -13,7 +13,7 @@ from uavbatt.output import clock, rounded
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackSize
+    from uavbatt.battery.sizing.pack_size import PackSize
     from uavbatt.cli.options import ResultFiles
     from uavbatt.plan.endurance import TakeOff
     from uavbatt.plan.mission import LegEnd, MissionPlan, PlannedMission, RouteFit

@@ -39,7 +39,7 @@ from uavbatt.errors import UavbattError, UsageError, terminal_line
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.remembered import PackHealth
-    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.cli.pack_memory import PackMemory
     from uavbatt.estimator import Estimator

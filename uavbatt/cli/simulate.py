@@ -28,7 +28,7 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.scaling import Pack
-    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.battery.sizing.pack_size import PackOptions
     from uavbatt.records import Sample
     from uavbatt.simulate.flight import SimulatedFlight
     from uavbatt.simulate.route import RouteFlight

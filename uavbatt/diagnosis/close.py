@@ -19,7 +19,7 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import pack_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis

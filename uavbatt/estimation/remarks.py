@@ -6,7 +6,7 @@ import math
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.estimation.summary import BeliefSummary
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import PackFacts, Sample

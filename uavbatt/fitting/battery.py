@@ -11,10 +11,10 @@ import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
-from uavbatt.battery.log_statements import first_voltages
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
-from uavbatt.battery.size_remarks import possible_facts
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.log_statements import first_voltages
+from uavbatt.battery.sizing.pack_size import PackSize
+from uavbatt.battery.sizing.remarks import possible_facts
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander, whole_flights

@@ -13,7 +13,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import installation_of
-from uavbatt.battery.sizing import PackOptions, capacity_since_s
+from uavbatt.battery.sizing.pack_size import PackOptions, capacity_since_s
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimation.still_sensors import STILL_C_RATE

@@ -13,7 +13,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.live.config import Config
 from uavbatt.live.log import tell

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live import clock
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key

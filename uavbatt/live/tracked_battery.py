@@ -14,7 +14,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, size_of_pack
+from uavbatt.battery.sizing.pack_size import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import CapacityNotStated, UavbattError
 from uavbatt.estimator import Estimator

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.capacity_prior import capacities
-from uavbatt.battery.known_size import before_any_row
-from uavbatt.battery.sizing import PackOptions, sized
+from uavbatt.battery.sizing.known_size import before_any_row
+from uavbatt.battery.sizing.pack_size import PackOptions, sized
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.recursion import flight_window
 from uavbatt.prediction.pending import ends_soon

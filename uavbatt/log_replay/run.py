@@ -11,9 +11,9 @@ from itertools import groupby, tee
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.log_statements import check_statements
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, PackSize, why_no_capacity
+from uavbatt.battery.sizing.log_statements import check_statements
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, why_no_capacity
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator

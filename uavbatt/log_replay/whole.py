@@ -13,7 +13,7 @@ from uavbatt import output
 from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names

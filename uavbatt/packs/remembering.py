@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.log_statements import size_from_rows
 from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, of_known_cells, type_ohm
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackOptions, PackSize, sized
+from uavbatt.battery.sizing.log_statements import size_from_rows
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.estimator import Estimator
 from uavbatt.packs.dates import future_words, is_in_future

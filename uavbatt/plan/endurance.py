@@ -15,11 +15,11 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.log_statements import check_statements, size_from_rows
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
-from uavbatt.battery.sizing import FROM_BATTERY_FILE, PackOptions, PackSize, size_of_pack, sized
+from uavbatt.battery.sizing.log_statements import check_statements, size_from_rows
+from uavbatt.battery.sizing.pack_size import FROM_BATTERY_FILE, PackOptions, PackSize, size_of_pack, sized
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances

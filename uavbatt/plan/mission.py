@@ -19,7 +19,7 @@ from uavbatt.battery.pack import most_energy_Wh
 from uavbatt.battery.powers import Powers
 from uavbatt.battery.remembered import with_reaction
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackSize, sized
+from uavbatt.battery.sizing.pack_size import PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.plan.endurance import Endurance, Plan
 from uavbatt.report import plot
 from uavbatt.report.page import (

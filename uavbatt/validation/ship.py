@@ -17,7 +17,7 @@ from uavbatt.battery.battery_file import (
     ParameterTable,
     Verdict,
 )
-from uavbatt.battery.size_remarks import ends_as_lithium_ion
+from uavbatt.battery.sizing.remarks import ends_as_lithium_ion
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded

@@ -22,7 +22,7 @@ from typing import TypeVar
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.errors import BadInput, UavbattError
 from uavbatt.live.log import tell
 from uavbatt.live.memory.kept_flight import FlightInAir, LedgerBattery

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile, Certificate
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import Flight, Status

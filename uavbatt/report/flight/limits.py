@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION
-from uavbatt.battery.sizing import FROM_BATTERY_FILE, PackSize
+from uavbatt.battery.sizing.pack_size import FROM_BATTERY_FILE, PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.notice import Kind, kind_of

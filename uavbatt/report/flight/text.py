@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.records import Flight

@@ -1,7 +1,7 @@
 """The size of a pack as far as it is known in flight, and the doubts about it; a value that is replaced at each row.
 
 What the caller states counts first, then the vehicle's parameters, then the cells if their voltages are told one by
-one, then the first voltage (`sizing`). Each row of telemetry is compared with all of them (`statements`).
+one, then the first voltage (`pack_size`). Each row of telemetry is compared with all of them (`statements`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, PackSize, counts_of_cells, resting, size_of_pack
-from uavbatt.battery.statements import NO_LOAD, PowerRange, Statements
+from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, counts_of_cells, resting, size_of_pack
+from uavbatt.battery.sizing.statements import NO_LOAD, PowerRange, Statements
 from uavbatt.limits import GUESSED_FROM, TOLD_FROM, Doubt, FirstVoltages, Resting, told_cells
 from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample

@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.size_remarks import CAPACITY, likely, other_kind, possible_facts, scaled_far, uncertified
+from uavbatt.battery.sizing.remarks import CAPACITY, likely, other_kind, possible_facts, scaled_far, uncertified
 from uavbatt.errors import CapacityNotStated, UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import (
+from uavbatt.battery.sizing.pack_size import (
     PackOptions,
     PackSize,
     capacity_since_s,
@@ -18,7 +18,7 @@ from uavbatt.battery.sizing import (
     resting,
     size_of_pack,
 )
-from uavbatt.battery.statements import SEVERAL_ROWS, Statements, is_at_rest
+from uavbatt.battery.sizing.statements import SEVERAL_ROWS, Statements, is_at_rest
 from uavbatt.errors import UsageError
 from uavbatt.limits import GUESSED_FROM, TOLD_FROM, FirstVoltages, Resting, told_cells
 from uavbatt.records import NAN, Flight, PackFacts, Sample

@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.battery.initial_state import IDLE_C_RATE
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.sizing.pack_size import PackSize
 from uavbatt.limits import (
     C_RATE,
     KELVIN,
