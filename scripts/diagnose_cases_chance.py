@@ -17,12 +17,12 @@ from pathlib import Path
 from diagnose_cases_pack import flights, ready
 from scoring import data
 
-from uavbatt.diagnosis.candidates import NOTHING, candidates
 from uavbatt.diagnosis.diagnosis import problem_of
-from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
-from uavbatt.diagnosis.misfit import LEFT, left_per_number, per_number
-from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, trial
+from uavbatt.diagnosis.refit.candidates import NOTHING, candidates
+from uavbatt.diagnosis.refit.evidence import IDLE_NOISE_A, idle_A
+from uavbatt.diagnosis.refit.misfit import LEFT, left_per_number, per_number
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
+from uavbatt.diagnosis.search.trial import EARNED, FIRST_TURNS, trial
 from uavbatt.fitting.observed import ObservedRecord
 
 TRUTH = data.place() / "truth"

@@ -25,8 +25,8 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
 from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
-from uavbatt.diagnosis.heldout import open_loop
-from uavbatt.diagnosis.worth import left_out_values
+from uavbatt.diagnosis.refit.heldout import open_loop
+from uavbatt.diagnosis.search.worth import left_out_values
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.observed import ObservedRecord, from_flight

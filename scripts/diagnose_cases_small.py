@@ -19,13 +19,13 @@ import numpy as np
 from diagnose_cases_pack import arguments, flights, ready, records
 from diagnose_cases_table import SAME, true_value
 
-from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.classes import COVERAGE
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import RIVAL_SHARE
-from uavbatt.diagnosis.trial import FIRST_TURNS, Trial, trial
-from uavbatt.diagnosis.worth import Worth, at_bound
+from uavbatt.diagnosis.refit.candidates import NOTHING
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
+from uavbatt.diagnosis.search.rivals import RIVAL_SHARE
+from uavbatt.diagnosis.search.trial import FIRST_TURNS, Trial, trial
+from uavbatt.diagnosis.search.worth import Worth, at_bound
 from uavbatt.fitting.observed import ObservedRecord
 
 SHARES = (1.0, 0.5, 0.2, 0.0)  # of the errors that the file states

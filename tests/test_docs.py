@@ -22,7 +22,7 @@ from uavbatt.battery.effects import EFFECTS, unit_words
 from uavbatt.cli.app import app
 from uavbatt.dataset_csv import COLUMNS as DISCHARGE_COLUMNS
 from uavbatt.diagnosis.classes import EffectClass
-from uavbatt.diagnosis.residual import Shape
+from uavbatt.diagnosis.refit.residual import Shape
 from uavbatt.fleet.row import COLUMNS as FLEET_COLUMNS
 from uavbatt.live import config
 from uavbatt.live.feeds.web import content

@@ -11,7 +11,7 @@ from planted_flights import CAPACITY_AH, CELLS, FILE, PACK, fly
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V
+from uavbatt.diagnosis.refit.meter_noise import noise_K, noise_V, resting_noise_V
 from uavbatt.fitting import observed, solve, wander
 from uavbatt.fitting.observed import ObservedRecord
 

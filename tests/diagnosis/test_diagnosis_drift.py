@@ -10,10 +10,10 @@ import pytest
 from planted_flights import FILE, MISSIONS, PACK, fly, found
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.drift import drifting
-from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.refit.candidates import NOTHING
+from uavbatt.diagnosis.refit.solver import refit
+from uavbatt.diagnosis.search.drift import drifting
 from uavbatt.fitting.observed import ObservedRecord
 
 

@@ -12,18 +12,18 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
-from uavbatt.diagnosis import pairs
-from uavbatt.diagnosis.batch import at_best
-from uavbatt.diagnosis.candidates import NOTHING, Candidate
 from uavbatt.diagnosis.classes import class_of
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.misfit import FAR, floor_V, times_expected
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.residual import residuals
-from uavbatt.diagnosis.search import FoundEffect
-from uavbatt.diagnosis.trial import Trial
-from uavbatt.diagnosis.worth import Worth
+from uavbatt.diagnosis.refit.batch import at_best
+from uavbatt.diagnosis.refit.candidates import NOTHING, Candidate
+from uavbatt.diagnosis.refit.misfit import FAR, floor_V, times_expected
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.residual import residuals
+from uavbatt.diagnosis.refit.solver import refit
+from uavbatt.diagnosis.search import pairs
+from uavbatt.diagnosis.search.effects import FoundEffect
+from uavbatt.diagnosis.search.trial import Trial
+from uavbatt.diagnosis.search.worth import Worth
 
 WANDER = Wander(
     soc=[0.0, 1.0], voltage_sd_V=[0.02, 0.02], voltage_time_s=120.0, voltage_noise_V=0.002, rest_sd_V=0.002,

@@ -10,9 +10,9 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
-from uavbatt.diagnosis.late_current import SHIFTS_S, metered_current
-from uavbatt.diagnosis.problem import Problem
-from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.refit.late_current import SHIFTS_S, metered_current
+from uavbatt.diagnosis.refit.problem import Problem
+from uavbatt.diagnosis.refit.solver import refit
 
 
 @cache

@@ -9,7 +9,7 @@ import pytest
 from planted_flights import MISSIONS, fly, found
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis import late_current
+from uavbatt.diagnosis.refit import late_current
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord
 

@@ -13,14 +13,14 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
-from uavbatt.diagnosis.blocks import evidence_by_block
-from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
 from uavbatt.diagnosis.diagnosis import Diagnosis, candidate_probability, diagnose, options_of, problem_of
-from uavbatt.diagnosis.misfit import LEFT, USUAL, MisfitPerNumber
-from uavbatt.diagnosis.rivals import FAMILIES, members_of_class
-from uavbatt.diagnosis.search import SUSPECT, no_chance
-from uavbatt.diagnosis.trial import Trial
-from uavbatt.diagnosis.worth import Worth
+from uavbatt.diagnosis.refit.candidates import QUANTITIES, Candidate
+from uavbatt.diagnosis.refit.misfit import LEFT, USUAL, MisfitPerNumber
+from uavbatt.diagnosis.search.blocks import evidence_by_block
+from uavbatt.diagnosis.search.effects import SUSPECT, no_chance
+from uavbatt.diagnosis.search.rivals import FAMILIES, members_of_class
+from uavbatt.diagnosis.search.trial import Trial
+from uavbatt.diagnosis.search.worth import Worth
 from uavbatt.fitting.observed import ObservedRecord
 from uavbatt.log_replay.run import engine_for
 

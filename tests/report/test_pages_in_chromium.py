@@ -29,11 +29,11 @@ from route_rig import planned, to
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry
 from uavbatt.battery.sizing.pack_size import PackOptions
-from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass, Interval
 from uavbatt.diagnosis.close import ClosedLoop, HeldOutErrors
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.residual import Residual
+from uavbatt.diagnosis.refit.residual import Residual
+from uavbatt.diagnosis.search.blocks import EvidenceBlock
 from uavbatt.fleet.row import FlightRow
 from uavbatt.live.config import HttpSection
 from uavbatt.live.feeds.web import serve

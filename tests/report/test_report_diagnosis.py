@@ -14,7 +14,7 @@ from uavbatt.battery import battery_file
 from uavbatt.diagnosis.classes import EffectClass, Interval
 from uavbatt.diagnosis.close import ClosedLoop, HeldOutErrors
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.residual import Residual
+from uavbatt.diagnosis.refit.residual import Residual
 from uavbatt.report.diagnosis import diagnosis_report
 
 pytestmark = pytest.mark.usefixtures("undrawn")

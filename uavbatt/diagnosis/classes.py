@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.diagnosis.candidates import QUANTITIES, UNITS
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.rivals import LARGEST_CLASS
-from uavbatt.diagnosis.search import FoundEffect
-from uavbatt.diagnosis.trial import Trial
+from uavbatt.diagnosis.refit.candidates import QUANTITIES, UNITS
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.search.effects import FoundEffect
+from uavbatt.diagnosis.search.rivals import LARGEST_CLASS
+from uavbatt.diagnosis.search.trial import Trial
 from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors on either side: 95 % with few independent parts of a record

@@ -20,12 +20,12 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing.pack_size import PackOptions
-from uavbatt.diagnosis import residual
-from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.heldout import open_loop
-from uavbatt.diagnosis.problem import Refit
-from uavbatt.diagnosis.worth import left_out_values
+from uavbatt.diagnosis.refit import residual
+from uavbatt.diagnosis.refit.candidates import QUANTITIES
+from uavbatt.diagnosis.refit.heldout import open_loop
+from uavbatt.diagnosis.refit.problem import Refit
+from uavbatt.diagnosis.search.worth import left_out_values
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit.candidates import Candidate
+from uavbatt.diagnosis.refit.problem import Problem, Refit
 
 LEAST_TO_GROW = 3  # flights needed to see growth: two flights with different sizes could also be a step
 

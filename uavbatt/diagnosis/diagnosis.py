@@ -19,13 +19,12 @@ from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis import drift, residual, slow_sensor
-from uavbatt.diagnosis.batch import at_best
-from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
-from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import NEVER_SURE, EffectClass, HiddenSize, class_of, hidden_sizes, start_class
-from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
-from uavbatt.diagnosis.misfit import (
+from uavbatt.diagnosis.refit import residual
+from uavbatt.diagnosis.refit.batch import at_best
+from uavbatt.diagnosis.refit.candidates import NOTHING, Candidate, base_values, candidates, nuisances
+from uavbatt.diagnosis.refit.evidence import IDLE_NOISE_A, idle_A, prepare
+from uavbatt.diagnosis.refit.misfit import (
     FAR,
     LEFT,
     USUAL,
@@ -35,11 +34,13 @@ from uavbatt.diagnosis.misfit import (
     left_per_number,
     times_expected,
 )
-from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
-from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import SUSPECT, FoundEffect, search, small
-from uavbatt.diagnosis.trial import Trial
+from uavbatt.diagnosis.refit.problem import Problem, Refit, TableErrors
+from uavbatt.diagnosis.refit.residual import Residual, Shape
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
+from uavbatt.diagnosis.search import drift, slow_sensor
+from uavbatt.diagnosis.search.blocks import EvidenceBlock, evidence_by_block
+from uavbatt.diagnosis.search.effects import SUSPECT, FoundEffect, search, small
+from uavbatt.diagnosis.search.trial import Trial
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.fitting.observed import ObservedRecord
 

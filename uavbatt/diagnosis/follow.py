@@ -13,17 +13,17 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
 from uavbatt.diagnosis.diagnosis import Verdict, candidate_probability, doubts, options_of, problem_of
-from uavbatt.diagnosis.misfit import left_per_number
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import related
-from uavbatt.diagnosis.search import FoundEffect, finding
-from uavbatt.diagnosis.trial import FIRST_TURNS, FURTHER_TURNS, trial
-from uavbatt.diagnosis.worth import at_bound, worth
+from uavbatt.diagnosis.refit.candidates import NOTHING, QUANTITIES, UNITS, Candidate
+from uavbatt.diagnosis.refit.misfit import left_per_number
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
+from uavbatt.diagnosis.search.effects import FoundEffect, finding
+from uavbatt.diagnosis.search.rivals import related
+from uavbatt.diagnosis.search.trial import FIRST_TURNS, FURTHER_TURNS, trial
+from uavbatt.diagnosis.search.worth import at_bound, worth
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import ObservedRecord

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import unit_words
-from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.close import ClosedLoop
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.residual import Residual
+from uavbatt.diagnosis.refit.residual import Residual
+from uavbatt.diagnosis.search.blocks import EvidenceBlock
 from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY, SHARES
 from uavbatt.files import without_none
 from uavbatt.report import plot

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis import residual
-from uavbatt.diagnosis.batch import at_best
-from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit import residual
+from uavbatt.diagnosis.refit.batch import at_best
+from uavbatt.diagnosis.refit.problem import Problem, Refit
 
 
 def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float, float]:

@@ -25,9 +25,9 @@ from uavbatt.battery.battery_file import BatteryFile, Wander
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis import late_current
-from uavbatt.diagnosis.candidates import capacity_sd
-from uavbatt.diagnosis.meter_noise import noise_K, noise_V, resting_noise_V
+from uavbatt.diagnosis.refit import late_current
+from uavbatt.diagnosis.refit.candidates import capacity_sd
+from uavbatt.diagnosis.refit.meter_noise import noise_K, noise_V, resting_noise_V
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack

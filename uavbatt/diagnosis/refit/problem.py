@@ -11,8 +11,8 @@ from uavbatt.battery import openloop
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis.candidates import Candidate, FreeQuantity
-from uavbatt.diagnosis.evidence import Evidence, Rows
+from uavbatt.diagnosis.refit.candidates import Candidate, FreeQuantity
+from uavbatt.diagnosis.refit.evidence import Evidence, Rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,9 @@ from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.openloop import States
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis.candidates import INDEX, QUANTITIES
-from uavbatt.diagnosis.evidence import Evidence
-from uavbatt.diagnosis.late_current import metered_current
+from uavbatt.diagnosis.refit.candidates import INDEX, QUANTITIES
+from uavbatt.diagnosis.refit.evidence import Evidence
+from uavbatt.diagnosis.refit.late_current import metered_current
 from uavbatt.fitting.observed import Stack
 
 MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness_ohm")

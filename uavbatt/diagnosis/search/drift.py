@@ -11,10 +11,10 @@ or a lead that changed with temperature would look like the temperature dependen
 from __future__ import annotations
 
 from uavbatt.battery.effects import EFFECTS, unit_words
-from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Course, FreeQuantity
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.simulation import MAY_DRIFT
+from uavbatt.diagnosis.refit.candidates import INDEX, QUANTITIES, Candidate, Course, FreeQuantity
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.simulation import MAY_DRIFT
+from uavbatt.diagnosis.refit.solver import refit
 
 TURNS = 8  # iterations: the start is the fit without drift, so that few are needed
 VARIES_WITH_TEMPERATURE = "voltage_gain"  # the only effect that is tried with a drift along the temperature

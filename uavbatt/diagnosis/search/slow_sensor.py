@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from uavbatt.diagnosis import late_current
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import SETTLED, refit
+from uavbatt.diagnosis.refit import late_current
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
 
 STANDS_FOR = "current_delay"
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.evidence import Evidence
-from uavbatt.diagnosis.simulation import Simulated
+from uavbatt.diagnosis.refit.evidence import Evidence
+from uavbatt.diagnosis.refit.simulation import Simulated
 
 PARTS = 3  # early, middle, late: what a person can tell apart in a short sentence
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.rivals import RIVAL_SHARE, family, related
-from uavbatt.diagnosis.trial import EARNED, FURTHER_TURNS, Trial, likeliness
-from uavbatt.diagnosis.worth import at_bound, is_steady, left_out_chi2, worth
+from uavbatt.diagnosis.refit.candidates import Candidate
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.solver import refit
+from uavbatt.diagnosis.search.rivals import RIVAL_SHARE, family, related
+from uavbatt.diagnosis.search.trial import EARNED, FURTHER_TURNS, Trial, likeliness
+from uavbatt.diagnosis.search.worth import at_bound, is_steady, left_out_chi2, worth
 
 EARNED_BESIDE = 12.0  # least worth of the weaker effect of a pair that leaves EARNED_TOGETHER less
 EARNED_IN_PART = 24.0  # least worth of each effect of a pair, if packs began charged in part

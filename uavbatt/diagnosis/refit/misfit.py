@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.diagnosis import residual
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.residual import Residual
+from uavbatt.diagnosis.refit import residual
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.residual import Residual
+from uavbatt.diagnosis.refit.solver import refit
 
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
 USUAL = 1.05  # largest value that effect-free flights leave for the voltage

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.rivals import RIVAL_SHARE, related, same, weights
-from uavbatt.diagnosis.worth import Worth, at_bound, worth
+from uavbatt.diagnosis.refit.candidates import Candidate
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.solver import refit
+from uavbatt.diagnosis.search.rivals import RIVAL_SHARE, related, same, weights
+from uavbatt.diagnosis.search.worth import Worth, at_bound, worth
 
 EARNED = 3.0  # chance gave at most 2.84 in 140 effect-free sets, and half of EARNED in one of 20
 RESIZED = 0.25  # prior of another size of an effect in the file, relative to an effect that the file lacks

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.batch import slopes_on_file
-from uavbatt.diagnosis.evidence import Evidence
-from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit.batch import slopes_on_file
+from uavbatt.diagnosis.refit.evidence import Evidence
+from uavbatt.diagnosis.refit.problem import Problem, Refit
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square: two models closer than this are one; refits that have not fully converged differ a little

@@ -11,15 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uavbatt.diagnosis.candidates import Candidate, Course
-from uavbatt.diagnosis.drift import VARIES_WITH_TEMPERATURE, drifting
-from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, asked_of_each, best_pair
-from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import FARTHEST, members_of_class
-from uavbatt.diagnosis.slow_sensor import following
-from uavbatt.diagnosis.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
-from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, saved, worth
+from uavbatt.diagnosis.refit.candidates import Candidate, Course
+from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.solver import SETTLED, refit
+from uavbatt.diagnosis.search.drift import VARIES_WITH_TEMPERATURE, drifting
+from uavbatt.diagnosis.search.pairs import (
+    EARNED_BESIDE,
+    EARNED_IN_PART,
+    EARNED_TOGETHER,
+    Pair,
+    asked_of_each,
+    best_pair,
+)
+from uavbatt.diagnosis.search.rivals import FARTHEST, members_of_class
+from uavbatt.diagnosis.search.slow_sensor import following
+from uavbatt.diagnosis.search.trial import EARNED, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
+from uavbatt.diagnosis.search.worth import UNSTEADY, Worth, is_steady, left_out_chi2, saved, worth
 
 EVEN = 6.0  # an effect worth no more is a suspect: it may well be chance
 SUSPECT = 0.4  # highest probability of a suspect, and under a doubted model

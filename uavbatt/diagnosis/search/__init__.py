@@ -1,0 +1,1 @@
+"""Search: which effect, or which two, explain the records, and what each is worth."""
