@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.powers import UNKNOWN
+from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.navigation import METRES_PER_DEGREE, Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
@@ -48,9 +48,10 @@ def planned(
     reserve_soc: float = 0.0,
     ambient_C: float = 25.0,
     settings: ReturnSettings = SETTINGS,
+    powers: Powers = POWERS,
 ) -> MissionPlan:
     """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah."""
     battery = battery_file.read_battery("lipo-generic")
     size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
-    asked = PlannedMission(mission(*items), HOME, settings, POWERS, wind or Wind(0.0, 0.0))
+    asked = PlannedMission(mission(*items), HOME, settings, powers, wind or Wind(0.0, 0.0))
     return make_route_plan(battery, size, asked, TakeOff(ambient_C, reserve_soc=reserve_soc, remembered=remembered))

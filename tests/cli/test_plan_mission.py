@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from route_rig import planned, to
+import json
+from pathlib import Path
 
+from route_rig import planned, to
+from typer.testing import CliRunner
+
+from uavbatt.cli.app import app
 from uavbatt.cli.plan_mission import MOST_LEGS, _lines
 
 
@@ -20,3 +25,19 @@ def test_the_plan_says_in_which_wind_and_how_fast_it_flies() -> None:
     lines = _lines(planned(to(1, 0.0, 300.0, 40.0)), "short.waypoints")
     assert "  wind       none stated: still air" in lines
     assert "  speeds     route 5 m/s, way home 8 m/s, climb 2.5 m/s, descent 1.5 m/s" in lines
+
+
+def test_a_mission_is_planned_for_an_aircraft_of_which_only_the_hover_is_known(tmp_path: Path) -> None:
+    home, up, there = "16 0 0 0 0 47.0 8.0 400 1", "22 0 0 0 0 0 0 40 1", "16 0 0 0 0 47.009 8.0 40 1"
+    lines = ("QGC WPL 110", f"0 1 0 {home}", f"1 0 3 {up}", f"2 0 3 {there}", "3 0 3 20 0 0 0 0 0 0 0 1")
+    mission = tmp_path / "there.waypoints"
+    mission.write_text("\n".join(lines))
+    left = []
+    for power_W in ("180", "250"):
+        told = tmp_path / f"{power_W}.json"
+        pack = ("--cells", "4", "--capacity-ah", "5", "--power-w", power_W)
+        result = CliRunner().invoke(app, ["plan", "--mission", str(mission), *pack, "--json", str(told)])
+        assert result.exit_code == 0, result.output
+        assert f"only the hover of {power_W} W is stated" in result.output
+        left.append(json.loads(told.read_text())["planned"]["soc"])
+    assert left[0] > left[1] + 0.05

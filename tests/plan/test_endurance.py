@@ -170,6 +170,7 @@ def test_the_command_prints_and_writes_every_temperature(tmp_path: Path) -> None
         (("--cells", "4", "--power-w", "200"), "--capacity-ah"),
         (("--capacity-ah", "5", "--power-w", "200"), "--cells"),
         (("--battery", "lpab-3s", "--power-w", "200"), "--capacity-ah"),
+        ((*PACK, "--mission", "m.plan", "--like", "flight.csv"), "--mission: expected --vehicle FILE, or --power-w W"),
         ((*PACK, "--power-w", "-3"), "--power-w"),
         ((*PACK, "--power-w", "nan"), "--power-w"),
         ((*PACK, "--power-w", "200", "--report", "nowhere/plan.html"), "folder"),

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from factories import generic_pack
 from route_rig import planned, to
 
+from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, ReturnSettings, Wind
@@ -168,6 +170,15 @@ def test_a_plan_of_a_mission_without_a_landing_says_that_it_flies_home() -> None
     assert "the mission has no landing: flight home assumed" in open_end.warnings
     assert not any("no landing" in warning for warning in closed.warnings)
     assert open_end.here.route.left_s == pytest.approx(closed.here.route.left_s)
+
+
+def test_an_aircraft_without_a_vehicle_file_has_a_wider_interval_and_says_so() -> None:
+    there = to(1, 0.0, 2000.0, 40.0)
+    known, unknown = planned(there), planned(there, powers=msgspec.structs.replace(UNKNOWN, hover_W=180.0))
+    width, wider = (plan.here.route.soc_hi - plan.here.route.soc_lo for plan in (known, unknown))
+    assert wider > width
+    said = "only the hover of 180 W is stated: other powers as of usual multirotors; give --vehicle"
+    assert said in unknown.warnings and said not in known.warnings
 
 
 def test_the_speeds_of_the_route_and_of_the_way_home_are_told_apart() -> None:

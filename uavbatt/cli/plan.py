@@ -45,13 +45,16 @@ if TYPE_CHECKING:
 
 def plan(
     battery: BatteryOption = DEFAULT_BATTERY,
-    power_w: Annotated[float | None, typer.Option("--power-w", help="Mean power of the flight [W].")] = None,
+    power_w: Annotated[
+        float | None, typer.Option("--power-w", help="Mean power of the flight [W]; with --mission, that of the hover.")
+    ] = None,
     like: Annotated[Path | None, typer.Option("--like", help="A past log: its load is flown again.")] = None,
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
     mission: Annotated[
-        Path | None, typer.Option("--mission", help="With --vehicle: does this .waypoints or .plan file fit?")
+        Path | None,
+        typer.Option("--mission", help="Does this .waypoints or .plan file fit? With --vehicle or --power-w."),
     ] = None,
     wind: WindOption = None,
     ambient_c: AmbientOption = 20.0,
@@ -86,8 +89,8 @@ def plan(
         remembered = memory.recalled_now(content)
     resolved = resolve(content, of_known_cells(options, remembered), flight)
     take_off = TakeOff(ambient_c, start_soc, reserve_soc, remembered)
-    if mission is not None and vehicle is not None:
-        planned = planned_mission(mission, vehicle, wind)
+    if mission is not None:
+        planned = planned_mission(mission, vehicle, positive_or_nan(power_w, "--power-w"), wind)
         plan_and_tell(planned, mission.name, content, resolved, take_off, files)
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
@@ -98,8 +101,8 @@ def _check_power(power_W: float | None, like: Path | None, vehicle: Path | None,
     """Raise UsageError unless the options state the power of the flight, and in one way only."""
     if sum(given is not None for given in (power_W, like, vehicle)) != 1:
         raise UsageError("the power is not known: expected exactly one of --power-w W, --like LOG, --vehicle FILE")
-    if mission is not None and vehicle is None:
-        raise UsageError("--mission: expected --vehicle FILE as well, the powers that this aircraft needs in each leg")
+    if mission is not None and like is not None:
+        raise UsageError("--mission: expected --vehicle FILE, or --power-w W for an aircraft without one; found --like")
 
 
 def _tell(found: Plan, battery: BatteryFile, reserve_soc: float, files: ResultFiles) -> None:

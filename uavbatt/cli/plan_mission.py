@@ -13,8 +13,10 @@ from uavbatt.output import clock, rounded
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.powers import Powers
     from uavbatt.battery.sizing.pack_size import PackSize
     from uavbatt.cli.options import ResultFiles
+    from uavbatt.navigation import ReturnSettings
     from uavbatt.plan.endurance import TakeOff
     from uavbatt.plan.mission import LegEnd, MissionPlan, PlannedMission, RouteFit
     from uavbatt.records import Route
@@ -22,21 +24,35 @@ if TYPE_CHECKING:
 MOST_LEGS = 40  # lines on a terminal
 
 
-def planned_mission(mission: Path, vehicle: Path, wind: str | None) -> PlannedMission:
-    """Return a mission with the aircraft that flies it, and the wind. Raises UsageError if a file lacks something."""
-    from uavbatt.battery import vehicle_file
+def planned_mission(mission: Path, vehicle: Path | None, hover_W: float, wind: str | None) -> PlannedMission:
+    """Return a mission with the aircraft that flies it, and the wind. Raises UsageError if a file lacks something.
+
+    hover_W : power in hover [W] of an aircraft without a vehicle file
+    """
     from uavbatt.navigation import ReturnSettings, completed
     from uavbatt.plan.mission import PlannedMission
 
-    (read, home), flown = mission_from_home(mission), vehicle_file.read_vehicle(vehicle)
+    read, home = mission_from_home(mission)
+    powers, usual = _flown_by(vehicle, hover_W)
+    stated = ReturnSettings(cruise_ms=read.cruise_ms, is_px4=not read.mission.has_home_item)
+    return PlannedMission(read.mission, home, completed(stated, usual), powers, stated_wind(wind))
+
+
+def _flown_by(vehicle: Path | None, hover_W: float) -> tuple[Powers, ReturnSettings]:
+    """Return the powers of an aircraft, and its speeds; without a vehicle file those of a usual multirotor."""
+    from msgspec.structs import replace
+
+    from uavbatt.battery import powers, vehicle_file
+    from uavbatt.navigation import UNSTATED
+
+    if vehicle is None:
+        return replace(powers.UNKNOWN, hover_W=hover_W), UNSTATED
+    flown = vehicle_file.read_vehicle(vehicle)
     if flown.powers is None:
         raise UsageError(
             f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
         )
-    air = stated_wind(wind)
-    stated = ReturnSettings(cruise_ms=read.cruise_ms, is_px4=not read.mission.has_home_item)
-    settings = completed(stated, flown.usual)
-    return PlannedMission(read.mission, home, settings, flown.powers, air)
+    return flown.powers, flown.usual
 
 
 def plan_and_tell(

@@ -156,8 +156,8 @@ def make_route_plan(
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
     remarks = (
-        resolved.uncertified, _speeds_remark(planned), return_assumed(planned.settings), _air_remark(ahead),
-        _home_remark(planned), planned.path.assumed
+        resolved.uncertified, _powers_remark(planned.powers), _speeds_remark(planned),
+        return_assumed(planned.settings), _air_remark(ahead), _home_remark(planned), planned.path.assumed,
     )  # fmt: skip
     warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
@@ -232,6 +232,13 @@ def _leg_ends(way: Path, ahead: Ahead, leg_of: Column, flying: Flying, end_s: Ar
         LegEnd(leg.seq, leg_words(leg), float(leg_s), left_at(leg), *_shown(charge, float(before)))
         for leg, leg_s, charge, before in zip(legs, ends_s, soc[[1, 0, 2]].T, ended, strict=True)
     )
+
+
+def _powers_remark(powers: Powers) -> str:
+    """Return a warning if only the hover of the aircraft is known; else empty."""
+    if powers.flights:
+        return ""
+    return f"only the hover of {powers.hover_W:g} W is stated: other powers as of usual multirotors; give --vehicle"
 
 
 def _air_remark(ahead: Ahead) -> str:
