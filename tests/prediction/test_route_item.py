@@ -17,6 +17,7 @@ from uavbatt.simulate.route import RouteFlight, route_flight
 UP = MissionItem(1, Action.TAKEOFF, alt_m=20.0)
 FAR = to(2, 600.0, 0.0, 20.0)
 RETURN = MissionItem(3, Action.RETURN)
+WAITS_30_S = MissionItem(3, Action.DELAY, hold_s=30.0)
 WAITS = replace(SETTINGS, return_hold_s=60.0)
 ROUND_S = 2.0 * math.pi * 40.0 / 5.0
 
@@ -66,6 +67,7 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         ((UP, to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), FAR, RETURN), SETTINGS),
         ((UP, to(2, 0.0, 300.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), RETURN), SETTINGS),
         ((UP, to(2, 600.0, 0.0, 60.0, action=Action.LOITER_TO_HEIGHT), to(3, 900.0, 0.0, 60.0), RETURN), SETTINGS),
+        ((UP, replace(FAR, action=Action.LAND), WAITS_30_S, UP, to(5, 900.0, 0.0, 20.0), RETURN), SETTINGS),
         ((UP, replace(FAR, action=Action.PLACE), to(3, 900.0, 0.0, 20.0), RETURN), SETTINGS),
     ],
     ids=[
@@ -76,6 +78,7 @@ def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> Route
         "turns",
         "turns to the east",
         "height",
+        "delivery",
         "payload",
     ],
 )

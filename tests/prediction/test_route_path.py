@@ -8,9 +8,22 @@ from dataclasses import replace
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
-from uavbatt.navigation import METRES_PER_DEGREE, Action, Frame, Home, MissionItem, ReturnSettings, SpeedKind, Wind
+from uavbatt.navigation import (
+    METRES_PER_DEGREE,
+    Action,
+    Frame,
+    Home,
+    MissionItem,
+    Mode,
+    Navigation,
+    ReturnSettings,
+    SpeedKind,
+    Wind,
+)
+from uavbatt.prediction.route.ahead import is_returning
 from uavbatt.prediction.route.legs import Phase, Point, way_points
 from uavbatt.prediction.route.path import path
+from uavbatt.prediction.route.progress import Progress
 from uavbatt.simulate.route import route_flight
 
 
@@ -87,8 +100,10 @@ def test_a_map_draws_turns_around_their_centre() -> None:
 def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:
     there, down = to(1, 100.0, 0.0, 40.0), to(2, 100.0, 0.0, 0.0, action=Action.LAND)
     waits, up = MissionItem(3, Action.DELAY, hold_s=60.0), MissionItem(4, Action.TAKEOFF, alt_m=40.0)
-    for landing in (down, MissionItem(2, Action.RETURN)):
-        found = path(mission(there, landing, waits, up, to(5, 3000.0, 0.0, 40.0)), HOME, SETTINGS)
+    far, px4 = to(5, 3000.0, 0.0, 40.0), replace(SETTINGS, is_px4=True)
+    home = MissionItem(2, Action.RETURN)
+    for landing, items, settings in ((down, (far,), SETTINGS), (down, (up, far), px4), (home, (up, far), SETTINGS)):
+        found = path(mission(there, landing, waits, *items), HOME, settings)
         assert found.reason == "the mission flies on after landing at item 2" and not found.legs
         assert path(mission(there, landing, waits, MissionItem(4, Action.OTHER)), HOME, SETTINGS).lands
 
@@ -114,6 +129,21 @@ def test_a_gripper_opens_where_the_item_before_it_ends(command: int) -> None:
     opens = MissionItem(2, Action.OTHER, command=command)
     found = path(mission(to(1, 100.0, 0.0, 40.0), opens, to(3, 200.0, 0.0, 40.0)), HOME, SETTINGS)
     assert [leg.seq for leg in found.legs if leg.moves_load] == [1]
+
+
+def test_a_copter_that_lands_takes_off_again_and_flies_on() -> None:
+    """A delivery by landing: the power flown with the payload counts for little from then on."""
+    there, down = to(1, 800.0, 0.0, 40.0), to(2, 900.0, 0.0, 0.0, action=Action.LAND)
+    waits, up = MissionItem(3, Action.DELAY, hold_s=20.0), MissionItem(4, Action.TAKEOFF, alt_m=50.0)
+    found = path(mission(there, down, waits, up, MissionItem(5, Action.RETURN)), HOME, SETTINGS)
+    assert found.lands and not found.reason
+    heights_m = [leg.end.height_m for leg in found.legs if leg.seq in (2, 3, 4)]
+    assert heights_m == [40.0, 10.0, 0.0, 0.0, 50.0]
+    assert [leg.seq for leg in found.legs if leg.moves_load] == [2]
+    assert sum(leg.hold_s for leg in found.legs) == 20.0
+    now = Navigation(mode=Mode.MISSION)
+    returns = [is_returning(Progress(path=found, at=at), now) for at in range(len(found.legs))]
+    assert returns == [leg.seq == 5 for leg in found.legs]  # on the way down to deliver it may still turn back
 
 
 def test_turns_without_a_radius_are_those_of_the_autopilots_own() -> None:

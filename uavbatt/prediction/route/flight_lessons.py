@@ -114,13 +114,14 @@ class FlightLessons(NamedTuple):
     def with_timing(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
         """Return the lessons after the legs `behind` took `flown_s` [s] together.
 
-        The planned waits do not count. Take-offs, unusual times, and short legs mixed with long ones are not used.
+        The planned waits do not count. Take-offs, landings, unusual times and short legs mixed with long ones are not
+        used.
         """
         flown_s -= sum(leg.hold_s for leg in behind)
         planned_s, speeds_ms = sum(leg.moving_s for leg in behind), sum(leg.fastest_ms for leg in behind)
         usual_s = STRETCH * planned_s + SPEEDING * speeds_ms
         is_odd = abs(flown_s - usual_s) > UNUSUAL * usual_s + UNUSUAL_S
-        if is_odd or any(leg.phase is Phase.TAKE_OFF for leg in behind):
+        if is_odd or any(leg.phase in (Phase.TAKE_OFF, Phase.LANDING) for leg in behind):
             return self
         if all(leg.moving_s < SHORT_LEG_S for leg in behind):
             return self._replace(short=self.short.after(flown_s, planned_s, speeds_ms))

@@ -24,7 +24,7 @@ NEAR_M = 1.0  # a take-off so near its place does not fly there
 PLACED_S = 3.0  # on the ground, while a payload is set down
 MOVING_LOADS = (211, 42600)  # MAV_CMD_DO_GRIPPER, MAV_CMD_DO_WINCH
 NO_LANDING = "the mission has no landing: flight home assumed"
-ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these move nothing
+STANDING = (Action.SPEED, Action.OTHER, Action.DELAY)  # on the ground these move nothing
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         return Path(reason=mission.reason)
     at, speeds, legs = Point(0.0, 0.0, 0.0), speeds_of(settings), list[Leg]()
     elsewhere = return_reason(mission, settings)
-    flown = _flown(mission)
-    for item in flown:
+    flown = list(_flown(mission))
+    for number, item in enumerate(flown, start=1):
         if item is None:
             return Path(reason=f"the mission flies more than {MOST_LEGS} items, jumps repeated")
         if item.action is Action.SPEED:
@@ -75,14 +75,11 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if item.command in MOVING_LOADS and legs:
             legs[-1] = legs[-1]._replace(moves_load=True)
         at = left_at(legs[-1]) if legs else at
-        if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
-            return Path(reason=f"the mission flies on after landing at item {item.seq}")
-        if item.action is Action.RETURN and elsewhere:
-            return Path(reason=elsewhere)
-        if item.action is Action.RETURN:
-            return returned(legs, settings)
-        if item.action is Action.LAND:
-            return Path(tuple(legs))
+        if item.action in (Action.LAND, Action.RETURN):
+            later = [i for i in flown[number:] if i is None or i.action not in STANDING]
+            if not _takes_off_again(item, later, settings):
+                return _landed(item, later, legs, settings, elsewhere)
+            legs[-1] = legs[-1]._replace(moves_load=True)
         if item.action is Action.LOITER_UNLIMITED:
             return Path(tuple(legs), lands=False)
     if not legs:
@@ -96,10 +93,33 @@ def returned(legs: list[Leg], settings: ReturnSettings) -> Path:
     """Return the whole way with the return at its end: one that ends in the air waits there for somebody to land it."""
     if not settings.return_final_m > 0.0:
         return Path(tuple(legs))
-    aloft = [leg for leg in legs if leg.phase is not Phase.LANDING]
+    aloft = list(legs)
+    while aloft and aloft[-1].phase is Phase.LANDING:
+        aloft.pop()
     if not aloft:
         return Path(reason="the mission goes nowhere")
     return Path((*aloft[:-1], aloft[-1]._replace(hold_s=ENDLESS_S)), lands=False)
+
+
+def _takes_off_again(item: MissionItem, later: list[MissionItem | None], settings: ReturnSettings) -> bool:
+    """Return True if an ArduCopter goes on after a landing: with a take-off, and only then."""
+    following = later[0] if later else None
+    takes_off = following is not None and following.action is Action.TAKEOFF
+    return takes_off and item.action is Action.LAND and not settings.is_px4
+
+
+def _landed(
+    item: MissionItem, later: list[MissionItem | None], legs: list[Leg], settings: ReturnSettings, elsewhere: str
+) -> Path:
+    """Return the whole way that ends with a landing or a return, or why it is not known.
+
+    later : the items after it that would move the vehicle; elsewhere : why the way home is not straight
+    """
+    if any(i is None or i.action is not Action.LAND for i in later):
+        return Path(reason=f"the mission flies on after landing at item {item.seq}")
+    if item.action is Action.LAND:
+        return Path(tuple(legs))
+    return Path(reason=elsewhere) if elsewhere else returned(legs, settings)
 
 
 def _flown(mission: Mission) -> Iterator[MissionItem | None]:
