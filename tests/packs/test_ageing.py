@@ -12,7 +12,7 @@ from uavbatt.battery.battery_file import GENERIC, GENERIC_LITHIUM_ION
 from uavbatt.packs import ageing
 from uavbatt.packs.findings import of_battery_file
 from uavbatt.packs.outlook import outlook
-from uavbatt.packs.records import PackRow
+from uavbatt.packs.records import PackBelief, PackRow
 from uavbatt.packs.words import retire_words
 from uavbatt.report.packs import packs_report
 
@@ -176,6 +176,24 @@ def test_a_month_of_storage_adds_two_percent_of_ohms_and_one_of_charge_to_the_do
     now, later = (np.diag(ageing.predicted(known, days).covariance)[:2] for days in (0.0, 365.0 / 12.0))
     assert np.sqrt(later - now) == pytest.approx([0.020, 0.010], rel=0.01)
     assert ageing.days_between(flight(0), flight(1).start_utc_s) == pytest.approx(3.0)
+
+
+def test_each_trend_moves_its_own_quantity_by_one_flight_a_flight():
+    known = PackBelief(np.array([-4.0, 1.6, 0.003, -0.002]), np.eye(4))
+    assert ageing.predicted(known, 0.0).mean == pytest.approx([-3.997, 1.598, 0.003, -0.002])
+
+
+def test_days_that_nobody_knows_count_as_none_and_ten_years_as_the_most():
+    known = ageing.history([flight(0)])[-1].known
+    doubt = [ageing.predicted(known, days).covariance for days in (math.nan, 0.0, 3650.0, 1e6)]
+    assert (doubt[0] == doubt[1]).all() and (doubt[2] == doubt[3]).all()
+    assert doubt[2][0, 0] - doubt[0][0, 0] == pytest.approx(0.020**2 * 3650.0 / 30.4)
+
+
+def test_another_battery_file_adds_a_tenth_of_the_ohms_and_three_percent_of_charge_to_the_doubt():
+    known = ageing.history([flight(k) for k in range(4)])[-1].known
+    one, other = (ageing.prior(known, 3.0, other_file=is_other) for is_other in (False, True))
+    assert np.sqrt(np.diag(other.covariance - one.covariance)) == pytest.approx([0.10, 0.03])
 
 
 def test_a_counter_that_falls_and_a_charge_that_no_charger_gives_are_named():

@@ -48,6 +48,7 @@ def test_the_outlook_is_in_ohms_and_ampere_hours_with_the_error_of_the_file() ->
     assert found.resistance_hi_ohm / found.resistance_ohm == pytest.approx(
         found.resistance_ohm / found.resistance_lo_ohm
     )
+    assert math.log(found.resistance_hi_ohm / 0.012) / 1.645 == pytest.approx(math.hypot(0.05, 0.04), rel=0.01)
     sd = math.log(found.capacity_hi_Ah / found.capacity_Ah) / 1.645
     assert sd == pytest.approx(math.hypot(0.03, 0.02), rel=0.01)
     assert (found.capacity_trend, found.resistance_trend) == (-0.008, 0.004)
