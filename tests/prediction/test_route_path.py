@@ -13,6 +13,7 @@ from uavbatt.navigation import (
     Action,
     Frame,
     Home,
+    Mission,
     MissionItem,
     Mode,
     Navigation,
@@ -106,6 +107,25 @@ def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:
         found = path(mission(there, landing, waits, *items), HOME, settings)
         assert found.reason == "the mission flies on after landing at item 2" and not found.legs
         assert path(mission(there, landing, waits, MissionItem(4, Action.OTHER)), HOME, SETTINGS).lands
+
+
+def test_a_mission_that_lands_does_not_ask_how_the_vehicle_returns() -> None:
+    items = (to(1, 100.0, 0.0, 40.0), to(2, 200.0, 0.0, 0.0, action=Action.LAND))
+    whole = path(mission(*items), HOME, SETTINGS)
+    for other in (replace(SETTINGS, return_final_m=10.0), replace(SETTINGS, return_reason="it has rally points")):
+        assert path(mission(*items), HOME, other) == whole and whole.lands
+
+
+def test_a_mission_may_begin_with_an_item_that_moves_nothing() -> None:
+    camera = MissionItem(1, Action.OTHER, command=203)
+    assert ends(camera, to(2, 100.0, 0.0, 40.0)) == ends(to(2, 100.0, 0.0, 40.0))
+
+
+def test_the_first_item_of_a_px4_is_flown_and_that_of_an_ardupilot_is_home() -> None:
+    there = (to(0, 100.0, 0.0, 40.0), to(1, 200.0, 0.0, 40.0))
+    of_px4, of_ardupilot = (path(Mission(there, "", "", has_home), HOME, SETTINGS) for has_home in (False, True))
+    assert [leg.seq for leg in of_px4.legs if leg.phase is Phase.ROUTE] == [0, 1]
+    assert [leg.seq for leg in of_ardupilot.legs if leg.phase is Phase.ROUTE] == [1]
 
 
 def test_a_payload_is_set_down_on_the_ground_and_the_mission_flies_on() -> None:
@@ -214,7 +234,7 @@ def test_a_return_that_ends_in_the_air_is_no_landing() -> None:
         (MissionItem(1, Action.UNKNOWN, command=9999), "9999"),
         (MissionItem(1, Action.UNKNOWN, reason="a transition of a VTOL"), "VTOL"),
         (to(1, 100.0, 0.0, 40.0, frame=Frame.TERRAIN), "terrain"),
-        (to(1, 5e6, 0.0, 40.0), "km away"),
+        (to(1, 4e5, 0.0, 40.0), "400 km away at 40 m"),
         (to(1, 100.0, 0.0, 1e7), "1000"),
     ],
 )
