@@ -10,6 +10,7 @@ import pytest
 from route_rig import POWERS
 
 from uavbatt.battery.powers import UNKNOWN
+from uavbatt.prediction.load.rising import LONGEST_RISE, RISING_SD
 from uavbatt.prediction.route.power_level import LEVEL_TAU_S, MODEL_SD, PowerLevel
 
 
@@ -90,3 +91,28 @@ def test_a_long_flight_tells_its_level_as_well_as_its_rows_allow() -> None:
         level = level.after(1.0, 1.0)
     powers = msgspec.structs.replace(POWERS, level_sd=2.0, row_sd=0.1)
     assert level.level(powers)[1] == pytest.approx(math.hypot(MODEL_SD, 0.1 * means.std()), rel=0.05)
+
+
+def test_while_the_power_rises_the_last_two_minutes_are_the_level() -> None:
+    """Ice: 4 % more a minute for six minutes, rows of two a second."""
+    level, ratios = PowerLevel(), [1.2 * math.exp(0.04 * k / 120.0) for k in range(720)]
+    for ratio in ratios:
+        level = level.after(ratio, 0.5)
+    found, sd = level.level(POWERS)
+    assert level.is_rising
+    assert found == pytest.approx(np.mean(ratios[-240:]), rel=0.005)
+    assert RISING_SD < sd < 0.1
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"told_s": -1.0}, {"sum_s": math.nan}, {"recent_s": math.inf}, {"open_sum_s": -0.1},
+        {"blocks": (1.0, 0.0)}, {"blocks": (math.inf,)}, {"blocks": (1.0,) * (LONGEST_RISE + 1)},
+    ],
+)  # fmt: skip
+def test_a_level_that_no_flight_leaves_is_told_from_one_that_a_flight_may_leave(damage: dict[str, object]) -> None:
+    level = PowerLevel()
+    for _ in range(400):
+        level = level.after(1.1, 1.0)
+    assert level.is_possible and not level._replace(**damage).is_possible
