@@ -11,6 +11,8 @@ from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import METRES_PER_DEGREE, Action, MissionItem, Mode, Navigation, Position, ReturnSettings, Wind
 from uavbatt.prediction.route.ahead import Ahead, ahead
+from uavbatt.prediction.route.item import is_behind, is_there
+from uavbatt.prediction.route.legs import Leg, Phase, Point
 from uavbatt.prediction.route.progress import Progress
 from uavbatt.simulate.route import RouteFlight, route_flight
 
@@ -147,3 +149,70 @@ def test_turns_are_flown_around_their_circle() -> None:
         assert math.hypot(north_m, east_m) == pytest.approx(40.0, abs=0.1)
         assert here.airspeed_ms == pytest.approx(5.0)
         assert north_m * here.north_ms + east_m * here.east_ms == pytest.approx(0.0, abs=0.5)
+
+
+# --- one leg at a time -------------------------------------------------------------------------------------------
+
+HIGH = Point(0.0, 0.0, 40.0)
+OVER = Point(100.0, 0.0, 40.0)
+THERE = Leg(2, Phase.ROUTE, HIGH, OVER, 100.0, 5.0, 2.5, 1.5, hold_s=30.0)
+DOWN = Leg(2, Phase.LANDING, OVER, Point(100.0, 0.0, 10.0), 0.0, 1.0, 2.5, 1.5)
+
+
+def moving(north_ms: float = 0.0, up_ms: float = 0.0) -> Position:
+    return Position(0.0, HOME.lat_deg, HOME.lon_deg, 40.0, north_ms, 0.0, up_ms)
+
+
+@pytest.mark.parametrize(
+    ("leg", "here", "speed_ms", "is_arrived"),
+    [
+        (THERE, Point(97.0, 0.0, 38.0), 5.0, True),
+        (THERE, Point(100.0, 0.0, 50.0), 0.3, True),  # it stands there: its height has drifted
+        (THERE, Point(100.0, 0.0, 50.0), 3.0, False),
+        (THERE, Point(100.0, 0.0, 60.0), 0.3, False),
+        (THERE._replace(hold_s=0.0), Point(100.0, 0.0, 50.0), 0.3, False),
+        (THERE._replace(phase=Phase.HOME), Point(97.0, 0.0, 90.0), 5.0, True),  # over home, at any height
+        (THERE._replace(phase=Phase.HOME), Point(94.0, 0.0, 40.0), 5.0, False),
+        (DOWN, Point(100.0, 0.0, 10.0), 0.0, False),
+        (THERE._replace(circle_m=40.0), OVER, 0.0, False),
+    ],
+)
+def test_where_a_leg_has_its_end(leg: Leg, here: Point, speed_ms: float, is_arrived: bool) -> None:
+    assert is_there(leg, here, moving(speed_ms)) is is_arrived
+
+
+@pytest.mark.parametrize(
+    ("leg", "following", "here", "position", "waited_s", "is_over"),
+    [
+        (THERE, DOWN, OVER, moving(), 29.0, False),
+        (THERE, DOWN, OVER, moving(), 30.0, True),
+        (THERE, DOWN, Point(100.0, 0.0, 35.0), moving(up_ms=-1.5), 3.0, True),  # it descends already
+        (THERE, DOWN, Point(100.0, 0.0, 35.0), None, 3.0, True),
+        (THERE, DOWN, Point(100.0, 0.0, 35.0), moving(up_ms=0.0), 3.0, False),  # it waits at another height
+        (THERE, DOWN, Point(80.0, 0.0, 35.0), moving(up_ms=-1.5), 3.0, False),
+        (THERE, DOWN, Point(100.0, 0.0, 37.0), moving(up_ms=-1.5), 3.0, False),
+        (THERE, THERE, Point(100.0, 0.0, 35.0), moving(up_ms=-1.5), 3.0, False),
+        (DOWN, DOWN, Point(100.0, 0.0, 10.4), moving(up_ms=-1.5), math.nan, True),
+        (DOWN, DOWN, Point(100.0, 0.0, 11.0), moving(up_ms=-1.5), math.nan, False),
+    ],
+)
+def test_when_a_leg_is_over(
+    leg: Leg, following: Leg, here: Point, position: Position | None, waited_s: float, is_over: bool
+) -> None:
+    assert is_behind(leg, following, here, position, waited_s) is is_over
+
+
+@pytest.mark.parametrize(
+    ("north_m", "height_m", "position", "is_on_it"),
+    [
+        (60.0, 40.0, moving(0.0), True),
+        (60.0, 46.0, moving(0.0), False),  # it still climbs
+        (52.0, 40.0, moving(0.0), False),  # 48 m from the centre of a circle of 40 m
+        (60.0, 40.0, moving(2.0), False),  # it still nears the centre
+        (60.0, 40.0, None, True),
+    ],
+)
+def test_when_a_circle_is_reached(north_m: float, height_m: float, position: Position | None, is_on_it: bool) -> None:
+    circle = Leg(2, Phase.ROUTE, Point(60.0, 0.0, 40.0), OVER, 500.0, 5.0, 2.5, 1.5, circle_m=40.0)
+    to_it = THERE._replace(end=circle.begin, hold_s=0.0)
+    assert is_behind(to_it, circle, Point(north_m, 0.0, height_m), position, 0.0) is is_on_it
