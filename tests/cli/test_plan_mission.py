@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from command import called
 from route_rig import planned, to
-from typer.testing import CliRunner
 
-from uavbatt.cli.app import app
 from uavbatt.cli.plan_mission import MOST_LEGS, _lines
 
 
@@ -34,10 +33,9 @@ def test_a_mission_is_planned_for_an_aircraft_of_which_only_the_hover_is_known(t
     mission.write_text("\n".join(lines))
     left = []
     for power_W in ("180", "250"):
-        told = tmp_path / f"{power_W}.json"
         pack = ("--cells", "4", "--capacity-ah", "5", "--power-w", power_W)
-        result = CliRunner().invoke(app, ["plan", "--mission", str(mission), *pack, "--json", str(told)])
-        assert result.exit_code == 0, result.output
-        assert f"only the hover of {power_W} W is stated" in result.output
-        left.append(json.loads(told.read_text())["planned"]["soc"])
+        done = called("plan", "--mission", mission, *pack, "--json", "told.json", folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert f"only the hover of {power_W} W is stated" in done.stdout
+        left.append(json.loads((tmp_path / "told.json").read_text())["planned"]["soc"])
     assert left[0] > left[1] + 0.05

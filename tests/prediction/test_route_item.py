@@ -99,8 +99,8 @@ def test_a_payload_is_set_down_on_ground_that_is_not_level_with_home(ground_m: f
 
     def on_hill(time_s: float) -> Position:
         here, above = flight.position(time_s), flight.legs[1].end.height_m
-        is_there = flight.begins_s[2] <= time_s < flight.begins_s[5]
-        return replace(here, height_m=ground_m + here.height_m * (above - ground_m) / above) if is_there else here
+        is_placing = flight.begins_s[2] <= time_s < flight.begins_s[5]
+        return replace(here, height_m=ground_m + here.height_m * (above - ground_m) / above) if is_placing else here
 
     for said_s, true_s in touchdowns(flight, SETTINGS, on_hill):
         assert said_s == pytest.approx(true_s, abs=30.0 + 0.03 * true_s)

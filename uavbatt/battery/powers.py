@@ -75,6 +75,11 @@ UNKNOWN = Powers(hover_W=1.0, level_sd=0.12, fast_sd=0.15, fastest_ms=15.0)
 PRIOR_SD = np.array([0.15, 0.15, 0.03, 0.03, 0.05, 0.05, 0.08, 0.08])  # spread of the shares between aircraft
 
 
+def of_hover(hover_W: float) -> Powers:
+    """Return the powers of an unknown aircraft that asks `hover_W` [W] in hover."""
+    return msgspec.structs.replace(UNKNOWN, hover_W=hover_W)
+
+
 def induced_ratio(airspeed_ms: ArrayLike, induced_ms: float) -> Array:
     """Return k: induced velocity in level flight at this airspeed [m/s] over that in hover; 1 in hover."""
     half = 0.5 * (np.asarray(airspeed_ms, float) / induced_ms) ** 2

@@ -40,13 +40,12 @@ def planned_mission(mission: Path, vehicle: Path | None, hover_W: float, wind: s
 
 def _flown_by(vehicle: Path | None, hover_W: float) -> tuple[Powers, ReturnSettings]:
     """Return the powers of an aircraft, and its speeds; without a vehicle file those of a usual multirotor."""
-    from msgspec.structs import replace
-
-    from uavbatt.battery import powers, vehicle_file
+    from uavbatt.battery import vehicle_file
+    from uavbatt.battery.powers import of_hover
     from uavbatt.navigation import UNSTATED
 
     if vehicle is None:
-        return replace(powers.UNKNOWN, hover_W=hover_W), UNSTATED
+        return of_hover(hover_W), UNSTATED
     flown = vehicle_file.read_vehicle(vehicle)
     if flown.powers is None:
         raise UsageError(

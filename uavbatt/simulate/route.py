@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple
 
-from msgspec.structs import replace
-
-from uavbatt.battery.powers import UNKNOWN, power, terms
+from uavbatt.battery.powers import of_hover, power, terms
 from uavbatt.errors import UsageError
 from uavbatt.navigation import METRES_PER_DEGREE, NAN, Home, Mission, Position, ReturnSettings, Wind
 from uavbatt.prediction.route.legs import Leg, Phase, Point, on_circle
@@ -187,7 +185,7 @@ def _on_leg(leg: Leg, share: float) -> tuple[Point, tuple[float, float, float]]:
 
 def watts_of(hover_W: float) -> Watts:
     """Return the power of an unknown aircraft that asks `hover_W` [W] in hover."""
-    powers = replace(UNKNOWN, hover_W=hover_W)
+    powers = of_hover(hover_W)
 
     def watts(airspeed_ms: float, climb_ms: float, phase: Phase) -> float:
         columns = terms(airspeed_ms, climb_ms, phase is Phase.TAKE_OFF, phase is Phase.LANDING, powers.induced_ms)

@@ -204,8 +204,8 @@ def _acts_below_soc(known: Mapping[str, float], instance: int, capacity_mAh: flo
     prefix = ardupilot_prefix(instance)
     acting = [(prefix + "LOW_MAH", prefix + "FS_LOW_ACT"), (prefix + "CRT_MAH", prefix + "FS_CRT_ACT")]
     acting += [("FS_BATT_MAH", "FS_BATT_ENABLE")] if instance == 0 else []
-    charges_mAh = [_first(known, charge) for charge, action in acting if known.get(action, 0.0) > 0.0]
-    return max((charge for charge in charges_mAh if charge > 0.0), default=NAN) / capacity_mAh
+    charges_mAh = [known.get(charge, 0.0) for charge, action in acting if known.get(action, 0.0) > 0.0]
+    return max((charge_mAh for charge_mAh in charges_mAh if charge_mAh > 0.0), default=NAN) / capacity_mAh
 
 
 def _rated_mAh(known: Mapping[str, float], instance: int) -> float:

@@ -88,9 +88,9 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 def is_returning(progress: Progress, navigation: Navigation) -> bool:
     """Return True if the aircraft flies home or lands already, by its mode or by the item of its mission."""
     if navigation.mode is Mode.MISSION and progress.is_on_path:
-        ahead_of_it = progress.path.legs[progress.at :]
-        lands = progress.leg.phase is Phase.LANDING and all(leg.phase is not Phase.TAKE_OFF for leg in ahead_of_it)
-        return lands or progress.leg.phase is Phase.HOME
+        if progress.leg.phase is Phase.LANDING:
+            return all(leg.phase is not Phase.TAKE_OFF for leg in progress.path.legs[progress.at :])
+        return progress.leg.phase is Phase.HOME
     return navigation.mode in (*RETURNS, Mode.LAND)
 
 

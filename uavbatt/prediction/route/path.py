@@ -72,14 +72,13 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if isinstance(found, str):
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
-        if item.command in MOVING_LOADS and legs:
+        if legs and (item.action is Action.LAND or item.command in MOVING_LOADS):
             legs[-1] = legs[-1]._replace(moves_load=True)
         at = left_at(legs[-1]) if legs else at
         if item.action in (Action.LAND, Action.RETURN):
             later = [i for i in flown[number:] if i is None or i.action not in STANDING]
             if not _takes_off_again(item, later, settings):
                 return _landed(item, later, legs, settings, elsewhere)
-            legs[-1] = legs[-1]._replace(moves_load=True)
         if item.action is Action.LOITER_UNLIMITED:
             return Path(tuple(legs), lands=False)
     if not legs:
