@@ -113,7 +113,7 @@ def filter_rows() -> Iterator[Row]:
         works: list[Callable[[], Any]] = [alone, one_by_one, in_windows]
         if HAS_TWIN:
             works += [twin(rows, capacities(pack())), twin(rows, known_capacity(pack()))]
-        took = [s / len(rows) * 1e6 for s in in_turn(works, 3)]
+        took = [s / len(rows) * 1e6 for s in in_turn(works, 7)]
         yield (
             f"filter, {name}, row by row",
             f"{took[1]:.1f} µs",

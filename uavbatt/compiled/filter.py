@@ -19,14 +19,16 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.compiled.member import predict, settle, shown_V, update
+from uavbatt.estimation import innovation, noise, recursion
 from uavbatt.estimation import meter as voltmeter
-from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
+from uavbatt.estimation.innovation import Innovation, Tangent, points, through, within_block
 from uavbatt.estimation.meter import Meter, Scatter, meter_after, meter_noise, scatter_after
-from uavbatt.estimation.recursion import FilteredRow, FilterState, Innovation, weighed
+from uavbatt.estimation.recursion import FilteredRow, FilterState, weighed
 from uavbatt.estimation.summary import summary
 from uavbatt.records import Sample
 
+share(innovation)
 share(recursion)
 share(voltmeter)
 
@@ -45,6 +47,7 @@ class Standing(NamedTuple):
     time_s: float
     current_A: float
     block_A: float
+    tangent: Tangent
     block: Array
     air: noise.Air
     load: noise.LastLoad
@@ -83,10 +86,12 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         FilteredRow(beliefs[k], known[k], Innovation(*row))
         for k, row in zip(found.in_force.tolist(), found.shown.tolist(), strict=True)
     ]
-    time_s, current_A, block_A, block, air, load, meter, scatter = found.standing
+    time_s, current_A, block_A, at, block, air, load, meter, scatter = found.standing
     open_block = Block(*block.tolist())
     air, load, meter, scatter = noise.Air(*air), noise.LastLoad(*load), Meter(*meter), Scatter(*scatter)
-    now = FilterState(beliefs[-1], known[-1], time_s, current_A, block_A, open_block, air, load, meter, scatter)
+    now = FilterState(
+        beliefs[-1], known[-1], time_s, current_A, block_A, Tangent(*at), open_block, air, load, meter, scatter
+    )
     return rows, now
 
 
@@ -94,7 +99,15 @@ def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Stand
     """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
     belief, block = state.belief, np.array(state.block, dtype=float)
     standing = Standing(
-        state.time_s, state.current_A, state.block_A, block, state.air, state.load, state.meter, state.scatter
+        state.time_s,
+        state.current_A,
+        state.block_A,
+        state.tangent,
+        block,
+        state.air,
+        state.load,
+        state.meter,
+        state.scatter,
     )
     rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     moments = Moments(belief.means, belief.covariances, belief.log_weights)
@@ -148,7 +161,10 @@ def close(pack: Pack, now: Moments, at: Standing) -> tuple[Moments, Standing, In
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.spread.temperature_sd_K, dt_s)
     soc = np.sum(np.exp(log_weight) * now.x[:, X.SOC])
-    after = Standing(at.time_s, at.current_A, mean_A, block, air, load, at.meter, scatter_after(at.scatter, shown_V))
+    line = tangent(pack, now.x, log_weight, at.current_A)
+    after = Standing(
+        at.time_s, at.current_A, mean_A, line, block, air, load, at.meter, scatter_after(at.scatter, shown_V)
+    )
     return Moments(now.x, now.P, log_weight), after, Innovation(shown_V, shown_nis, expected_V, soc)
 
 
@@ -165,29 +181,21 @@ def with_row(at: Standing, time_s: float, voltage_V: float, current_A: float, te
         block[5] += temp_C
         block[6] += 1.0
     meter = meter_after(at.meter, voltage_V, dt_s)
-    return Standing(time_s, current_A, at.block_A, block, at.air, at.load, meter, at.scatter)
+    return Standing(time_s, current_A, at.block_A, at.tangent, block, at.air, at.load, meter, at.scatter)
 
 
 @compiled
-def show_within(
-    pack: Pack, x: Array, log_weight: Array, drawn_As: Array, current_A: Array, voltage_V: Array, shown: Array
-) -> None:
-    """Write rows within one block against the model into `shown` [rows, 4], as `Innovation` has them; NIS stays NaN.
-
-    x, log_weight : means and ln of the weights after the block before; drawn_As : charge [A s] drawn since then, NaN
-    for a row that is not taken in or closes the block.
-    """
-    taken = np.flatnonzero(np.isfinite(drawn_As))
-    for row in taken:
-        shown[row, 2] = shown[row, 3] = 0.0
+def tangent(pack: Pack, x: Array, log_weight: Array, current_A: float) -> Tangent:
+    """Return the tangent of the model at the members' means, as `innovation.tangent` does."""
+    points_A, drawn_As = points(pack, current_A)
+    volts, soc = np.zeros(3), np.zeros(3)
     for k in range(log_weight.size):
         weight, now, at = np.exp(log_weight[k]), b.unpack(pack, x[k]), x[k].copy()
-        for row in taken:
-            at[X.SOC] = x[k, X.SOC] - drawn_As[row] / (3600.0 * now.installation.present_capacity_Ah)
-            shown[row, 2] += weight * shown_V(pack, now, at, X.SOC, current_A[row])
-            shown[row, 3] += weight * at[X.SOC]
-    for row in taken:
-        shown[row, 0] = voltage_V[row] - shown[row, 2]
+        for i in range(3):
+            at[X.SOC] = x[k, X.SOC] - drawn_As[i] / (3600.0 * now.installation.present_capacity_Ah)
+            volts[i] += weight * shown_V(pack, now, at, X.SOC, points_A[i])
+            soc[i] += weight * at[X.SOC]
+    return through(points_A, drawn_As, volts, soc)
 
 
 @compiled
@@ -198,13 +206,14 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
     """
     n, last = rows.shape[1], 0
     now = Moments(given.x.copy(), given.P.copy(), given.log_weight)
-    at = Standing(at.time_s, at.current_A, at.block_A, at.block.copy(), at.air, at.load, at.meter, at.scatter)
+    at = Standing(
+        at.time_s, at.current_A, at.block_A, at.tangent, at.block.copy(), at.air, at.load, at.meter, at.scatter
+    )
     kept = Moments(
         np.empty((most, *now.x.shape)), np.empty((most, *now.P.shape)), np.empty((most, now.log_weight.size))
     )
     keep(kept, 0, now)
     in_force, ambient_C, shown = np.zeros(n, np.int64), np.full(most, at.air.ambient_C), np.full((n, 4), np.nan)
-    drawn_As, true_A = np.full(n, np.nan), np.full(n, np.nan)
     for k in range(n):
         in_force[k] = last
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
@@ -216,32 +225,11 @@ def run(pack: Pack, given: Moments, at: Standing, rows: Array, most: int) -> Fil
         current_A = true_current(pack.installation, metered_A, voltage_V)
         at = with_row(at, time_s, voltage_V, current_A, temp_C)
         if at.block[1] < BLOCK_S:
-            drawn_As[k], true_A[k] = at.block[2], current_A
+            shown[k, 0], _, shown[k, 2], shown[k, 3] = within_block(at.tangent, voltage_V, current_A, at.block[2])
             continue
         now, at, (shown[k, 0], shown[k, 1], shown[k, 2], shown[k, 3]) = close(pack, now, at)
         last += 1
         keep(kept, last, now)
         in_force[k], ambient_C[last] = last, at.air.ambient_C
-    show_blocks(pack, kept, in_force, drawn_As, true_A, rows[1], shown)
     first = Moments(kept.x[: last + 1], kept.P[: last + 1], kept.log_weight[: last + 1])
     return Filtered(first, ambient_C[: last + 1], in_force, shown, at)
-
-
-@compiled
-def show_blocks(
-    pack: Pack,
-    kept: Moments,
-    in_force: NDArray[np.int64],
-    drawn_As: Array,
-    current_A: Array,
-    voltage_V: Array,
-    shown: Array,
-) -> None:
-    """Write the rows within blocks against the model into `shown`, those of one belief at a time (`show_within`)."""
-    begin = 0
-    for end in np.append(np.flatnonzero(np.diff(in_force)) + 1, in_force.size):
-        at, rows = in_force[begin], slice(begin, end)
-        show_within(
-            pack, kept.x[at], kept.log_weight[at], drawn_As[rows], current_A[rows], voltage_V[rows], shown[rows]
-        )
-        begin = end

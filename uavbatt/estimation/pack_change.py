@@ -21,7 +21,7 @@ from uavbatt.battery import model
 from uavbatt.battery import state_space as b
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.estimation.recursion import Innovation
+from uavbatt.estimation.innovation import Innovation
 from uavbatt.records import NAN, Sample
 
 # Rows that must show another pack, and how long: a current that comes 0.3 s late shows one at each take-off at 10 Hz.

@@ -25,6 +25,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
+from uavbatt.estimation.innovation import NOTHING, Innovation, Tangent, tangent, within_block
 from uavbatt.estimation.kalman import Condition, Measurement, jacobian
 from uavbatt.estimation.meter import Meter, MeterNoise, Scatter, meter_after, meter_noise, scatter_after
 from uavbatt.estimation.summary import BeliefSummary, summary
@@ -48,20 +49,12 @@ class FilterState(NamedTuple):
     time_s: float  # of the last row
     current_A: float  # of the last row
     block_A: float  # mean of the last block
+    tangent: Tangent  # of the model at the last block, for the rows of the open one
     block: Block  # the open block
     air: noise.Air
     load: noise.LastLoad = noise.LastLoad()
     meter: Meter = Meter()
     scatter: Scatter = Scatter()
-
-
-class Innovation(NamedTuple):
-    """Innovation holds a row against the model: innovation [V], NIS (NaN within a block), expected voltage [V], soc."""
-
-    innovation_V: float
-    nis: float
-    expected_V: float
-    soc: float
 
 
 class Reading(NamedTuple):
@@ -84,7 +77,6 @@ class FilteredRow(NamedTuple):
 
 
 Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[FilteredRow], FilterState]]
-NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
 NOT_BEGUN = FilteredRow(None, BeliefSummary(), NOTHING)
 
 
@@ -112,14 +104,14 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     air = noise.first_air(ambient_C if is_stated else temp_C, is_stated)
     belief = Belief(x, P, np.log(members.weight), air.ambient_C)
     state = state_at(pack, belief, sample.time_s, current_A, air)
-    expected_V = float(belief.weights @ b.voltage(pack, x.T, current_A))
-    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(belief.weights @ x[:, X.SOC]))
+    shown = within_block(state.tangent, sample.voltage_V, current_A, 0.0)
     return state, FilteredRow(belief, state.summary, shown)
 
 
 def state_at(pack: Pack, belief: Belief, time_s: float, current_A: float, air: noise.Air) -> FilterState:
     """Return the state of a filter that begins with a belief, after a row at `time_s` [s] under `current_A` [A]."""
-    return FilterState(belief, summary(belief, pack.spread.empty_soc_sd), time_s, current_A, current_A, Block(), air)
+    known, at = summary(belief, pack.spread.empty_soc_sd), tangent(pack, belief, current_A)
+    return FilterState(belief, known, time_s, current_A, current_A, at, Block(), air)
 
 
 def filter_window(
@@ -131,16 +123,9 @@ def filter_window(
     Returns the filter after each row, and the state after the last.
     """
     rows: list[FilteredRow] = []
-    within: list[tuple[int, FilterState, float]] = []
     for sample in samples:
         state, shown = _take(pack, state, sample, condition)
-        if shown is None:
-            within.append((len(rows), state, sample.voltage_V))
-        rows.append(FilteredRow(state.belief, state.summary, shown or NOTHING))
-    if within:
-        numbers, states, voltages_V = zip(*within, strict=True)
-        for k, shown in zip(numbers, _innovations(pack, states, voltages_V), strict=True):
-            rows[k] = FilteredRow(rows[k].belief, rows[k].summary, shown)
+        rows.append(FilteredRow(state.belief, state.summary, shown))
     return rows, state
 
 
@@ -149,10 +134,8 @@ def flight_window() -> Window:
     return partial(filter_window, condition=kalman.filterpy_condition())
 
 
-def _take(
-    pack: Pack, state: FilterState, sample: Sample, condition: Condition
-) -> tuple[FilterState, Innovation | None]:
-    """Return the state after one row, and the row's innovation: None within a block, for `_innovations`.
+def _take(pack: Pack, state: FilterState, sample: Sample, condition: Condition) -> tuple[FilterState, Innovation]:
+    """Return the state after one row, and the row's innovation.
 
     A row without voltage or current, or one that goes back in time, changes nothing and has no innovation.
     """
@@ -166,25 +149,8 @@ def _take(
     meter = meter_after(state.meter, sample.voltage_V, dt_s)
     state = state._replace(time_s=sample.time_s, current_A=current_A, block=block, meter=meter)
     if block.duration_s < BLOCK_S:
-        return state, None
+        return state, within_block(state.tangent, sample.voltage_V, current_A, block.charge_As)
     return _close(pack, state, condition)
-
-
-def _innovations(pack: Pack, states: Sequence[FilterState], voltages_V: Sequence[float]) -> list[Innovation]:
-    """Return the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
-
-    The means are those after the last block, less the charge drawn since.
-    """
-    rows = [(state.belief.means, state.belief.weights, state.block.charge_As, state.current_A) for state in states]
-    x, weight, drawn_As, current_A = map(np.array, zip(*rows, strict=True))
-    x[..., X.SOC] -= drawn_As[:, None] / (
-        3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY])
-    )
-    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A[:, None]) * weight).sum(axis=1).tolist()
-    found = []
-    for voltage_V, volts_V, of_row, x_of_row in zip(voltages_V, expected_V, weight, x, strict=True):
-        found.append(Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ x_of_row[:, X.SOC])))
-    return found
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
