@@ -122,6 +122,8 @@ def test_a_mission_many_times_as_long_as_the_flight_does_not_fit(long: MissionPl
         found = planned(*items)
         assert not found.here.fits and not any(row.fits for row in found.rows)
         assert math.isnan(found.legs[-1].soc_hi)
+    crawled = (MissionItem(1, Action.SPEED, speed_ms=1e-9), to(2, 0.0, 50_000.0, 40.0))  # 1.6 million years
+    assert math.isnan(planned(*crawled).legs[-1].soc_hi)
     far = planned(to(1, 0.0, 50_000.0, 40.0)).here.route
     assert far.turn_back_lo_s == pytest.approx(long.here.route.turn_back_lo_s, rel=0.1)
 

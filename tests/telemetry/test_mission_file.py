@@ -148,6 +148,13 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_mission(tmp_path / "none.plan")
 
 
+def test_a_speed_that_no_multirotor_has_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "m.plan"
+    path.write_text(plan(*ITEMS).replace('"hoverSpeed": 5', '"hoverSpeed": 1e21'))
+    with pytest.raises(BadInput, match=r"key mission.hoverSpeed: expected at most 100 m/s, found 1e\+21"):
+        read_mission(path)
+
+
 def test_a_file_is_numbered_as_ground_stations_upload_it(tmp_path: Path) -> None:
     """Two of ArduPilot's own test missions leave numbers out; both were refused."""
     numbers = iter([0, 1, 2, 4, 5, 9, 12])

@@ -225,6 +225,18 @@ def test_an_autopilot_is_asked_for_its_own_names_only(is_px4: bool) -> None:
     assert names_to_ask(dict.fromkeys(NAMES, 1.0), is_px4) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "stated", "field"),
+    [
+        ("WPNAV_SPEED", 1e12, "cruise_ms"), ("MPC_Z_V_AUTO_UP", 101.0, "climb_ms"), ("LAND_SPEED", -50.0, "land_ms"),
+        ("RTL_ALT", 1e9, "return_height_m"), ("RTL_LOIT_TIME", 1e9, "return_hold_s"),
+        ("CIRCLE_RADIUS", 1e9, "circle_radius_m"), ("WPNAV_SPEED", math.inf, "cruise_ms"),
+    ],
+)  # fmt: skip
+def test_a_speed_or_height_that_no_multirotor_has_is_not_stated(name: str, stated: float, field: str) -> None:
+    assert math.isnan(getattr(return_settings({name: stated}), field))
+
+
 def test_a_return_speed_of_zero_is_that_of_the_mission() -> None:
     assert math.isnan(return_settings({"RTL_SPEED": 0.0}).return_ms)
     assert return_settings({"RTL_ALT": 0.0}).return_height_m == 0.0

@@ -211,6 +211,15 @@ def test_a_broken_crc_drops_the_row(tmp_path: Path) -> None:
     assert flight.skipped_bytes == len(packed[3])
 
 
+@pytest.mark.parametrize("payload", [b"", b"\x07"])
+def test_a_head_without_a_message_at_the_very_end_is_damage(tmp_path: Path, payload: bytes) -> None:
+    """A frame of version 1 with so little payload ends before the place where version 2 has its message number."""
+    rows = [pack(heartbeat(), 0.0), *(pack(battery(), float(k)) for k in range(5))]
+    stub = struct.pack(">Q", round((EPOCH_S + 5.0) * 1e6)) + bytes([0xFE, len(payload), 0, 1, 1, 0]) + payload + b"\0\0"
+    found = read(tmp_path, *rows, stub)
+    assert found.samples == read(tmp_path, *rows).samples and len(found.samples) == 5
+
+
 def test_no_battery_in_a_tlog(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="expected battery messages"):
         read(tmp_path, pack(heartbeat(), 0), pack(heartbeat(), 1))

@@ -223,8 +223,9 @@ def _leg_ends(way: Path, ahead: Ahead, leg_of: Column, flying: Flying, end_s: Ar
     """
     last = np.append(np.flatnonzero(np.diff(leg_of)), leg_of.size - 1)
     ends_s: Array = ahead.pieces.ends_s[last]
-    edges_s = edges_through(ends_s)
-    passed = fly_draws(flying, edges_s).of(np.searchsorted(edges_s, ends_s))
+    seen_s = np.minimum(ends_s, np.max(end_s))  # nobody flies later
+    edges_s = edges_through(seen_s)
+    passed = fly_draws(flying, edges_s).of(np.searchsorted(edges_s, seen_s))
     soc = np.quantile(passed.state.soc, LEVELS, axis=1)
     ended = (end_s < ends_s[:, None]).mean(axis=1)
     legs = [way.legs[index] for index in leg_of[last]]

@@ -2,7 +2,8 @@
 
 ArduCopter until 4.6 counts in centimetres (WPNAV_SPEED, RTL_ALT), from 4.7 on in metres under new names (WP_SPD,
 RTL_ALT_M); PX4 counts in metres. 0 of an ArduCopter speed is "the speed of the mission". PX4 uses its cone only within
-RTL_MIN_DIST of home, and climbs to the whole return height elsewhere; older versions used it at any distance.
+RTL_MIN_DIST of home, and climbs to the whole return height elsewhere; older versions used it at any distance. A value
+that no multirotor has counts as not stated.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 from collections.abc import Mapping
 
 from uavbatt.navigation import NAN, ReturnSettings
+from uavbatt.telemetry.route.commands import FASTEST_MS, HIGHEST_M, LONGEST_S
 
 _CENTI = 0.01
 _CRUISE = (("WP_SPD", 1.0), ("WPNAV_SPEED", _CENTI), ("MPC_XY_CRUISE", 1.0))
@@ -57,16 +59,16 @@ def names_to_ask(known: Mapping[str, float], is_px4: bool) -> list[str]:
 def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnSettings:
     """Return speeds and way home from the known parameters, by name."""
     return ReturnSettings(
-        cruise_ms=_positive(known, _CRUISE),
-        climb_ms=_positive(known, _CLIMB),
-        descent_ms=_positive(known, _DESCENT),
+        cruise_ms=_speed_ms(known, _CRUISE),
+        climb_ms=_speed_ms(known, _CLIMB),
+        descent_ms=_speed_ms(known, _DESCENT),
         return_height_m=_first(known, _RETURN_HEIGHT),
-        return_ms=_positive(known, _RETURN_SPEED),
+        return_ms=_speed_ms(known, _RETURN_SPEED),
         return_hold_s=_hold_s(known),
         return_final_m=_final_m(known),
-        land_ms=_positive(known, _LAND),
+        land_ms=_speed_ms(known, _LAND),
         land_slow_below_m=_positive(known, _LAND_SLOW_BELOW),
-        land_fast_ms=_positive(known, _LAND_FAST),
+        land_fast_ms=_speed_ms(known, _LAND_FAST),
         return_climb_min_m=_first(known, _RETURN_CLIMB_MIN),
         return_cone_slope=_cone_slope(known),
         return_cone_within_m=known.get(_PX4_MIN_DIST, _PX4_MIN_DIST_M) if _CONE_ANGLE_DEG in known else NAN,
@@ -79,19 +81,25 @@ def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnS
     )
 
 
-def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
-    """Return the first of the named parameters that is known, in SI; NaN if none is known."""
-    return next((known[name] * factor for name, factor in names if math.isfinite(known.get(name, NAN))), NAN)
+def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...], most: float = HIGHEST_M) -> float:
+    """Return the first of the named parameters that is known, in SI; NaN if none is, or if it is beyond `most`."""
+    value = next((known[name] * factor for name, factor in names if math.isfinite(known.get(name, NAN))), NAN)
+    return value if abs(value) <= most else NAN
 
 
-def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
-    value = _first(known, names)
+def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...], most: float = HIGHEST_M) -> float:
+    value = _first(known, names, most)
     return value if value > 0.0 else NAN
+
+
+def _speed_ms(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
+    return _positive(known, names, FASTEST_MS)
 
 
 def _hold_s(known: Mapping[str, float]) -> float:
     """Return the wait above home [s]; PX4's -1 (for ever) is told by `return_final_m`."""
-    return max(_first(known, _RETURN_HOLD), 0.0) if math.isfinite(_first(known, _RETURN_HOLD)) else NAN
+    hold_s = _first(known, _RETURN_HOLD, LONGEST_S)
+    return max(hold_s, 0.0) if math.isfinite(hold_s) else NAN
 
 
 def _final_m(known: Mapping[str, float]) -> float:
