@@ -228,7 +228,8 @@ def test_an_autopilot_is_asked_for_its_own_names_only(is_px4: bool) -> None:
 @pytest.mark.parametrize(
     ("name", "stated", "field"),
     [
-        ("WPNAV_SPEED", 1e12, "cruise_ms"), ("MPC_Z_V_AUTO_UP", 101.0, "climb_ms"), ("LAND_SPEED", -50.0, "land_ms"),
+        ("WPNAV_SPEED", 1e12, "cruise_ms"), ("WPNAV_SPEED_DN", 1e-9, "descent_ms"),
+        ("MPC_Z_V_AUTO_UP", 101.0, "climb_ms"), ("LAND_SPEED", -50.0, "land_ms"),
         ("RTL_ALT", 1e9, "return_height_m"), ("RTL_LOIT_TIME", 1e9, "return_hold_s"),
         ("CIRCLE_RADIUS", 1e9, "circle_radius_m"), ("WPNAV_SPEED", math.inf, "cruise_ms"),
     ],

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.navigation import NAN, Action, Frame, Mission, MissionItem, SpeedKind
+from uavbatt.navigation import FASTEST_MS, NAN, SLOWEST_MS, Action, Frame, Mission, MissionItem, SpeedKind
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 LOITER_TO_HEIGHT, SPLINE, DELAY, PLACE, JUMP, SPEED = 31, 82, 93, 94, 177, 178
@@ -25,7 +25,7 @@ _AT_A_PLACE = {
     LOITER_TURNS: Action.LOITER_TURNS, LOITER_TIME: Action.LOITER_TIME, LAND: Action.LAND, TAKEOFF: Action.TAKEOFF,
     LOITER_TO_HEIGHT: Action.LOITER_TO_HEIGHT, PLACE: Action.PLACE,
 }  # fmt: skip
-HIGHEST_M, FASTEST_MS, LONGEST_S, _MOST_TURNS = 20_000.0, 100.0, 86_400.0, 10_000.0
+HIGHEST_M, LONGEST_S, _MOST_TURNS = 20_000.0, 86_400.0, 10_000.0
 
 # Camera, gimbal, servo, fence, tags and conditions of such items: they move nothing and take no time.
 _HARMLESS = frozenset(
@@ -168,7 +168,7 @@ def _radius_m(said: float) -> float:
 def _speed(fields: Fields) -> MissionItem:
     """Return the item of DO_CHANGE_SPEED: a speed of -1 changes nothing, -2 is the vehicle's own speed again."""
     kind = SPEED_KINDS.get(int(fields.param1)) if math.isfinite(fields.param1) else None
-    if kind is None or fields.param2 > FASTEST_MS:
+    if kind is None or fields.param2 > FASTEST_MS or 0.0 < fields.param2 < SLOWEST_MS:
         return _unknown(fields, f"a speed of {fields.param2:g} m/s of kind {fields.param1:g}")
     if fields.param2 > 0.0 or fields.param2 == -2.0:
         speed_ms = fields.param2 if fields.param2 > 0.0 else NAN

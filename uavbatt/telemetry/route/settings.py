@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from uavbatt.navigation import NAN, ReturnSettings
-from uavbatt.telemetry.route.commands import FASTEST_MS, HIGHEST_M, LONGEST_S
+from uavbatt.navigation import FASTEST_MS, NAN, SLOWEST_MS, ReturnSettings
+from uavbatt.telemetry.route.commands import HIGHEST_M, LONGEST_S
 
 _CENTI = 0.01
 _CRUISE = (("WP_SPD", 1.0), ("WPNAV_SPEED", _CENTI), ("MPC_XY_CRUISE", 1.0))
@@ -87,13 +87,14 @@ def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...], mos
     return value if abs(value) <= most else NAN
 
 
-def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...], most: float = HIGHEST_M) -> float:
-    value = _first(known, names, most)
+def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
+    value = _first(known, names)
     return value if value > 0.0 else NAN
 
 
 def _speed_ms(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
-    return _positive(known, names, FASTEST_MS)
+    value = _first(known, names, FASTEST_MS)
+    return value if value >= SLOWEST_MS else NAN
 
 
 def _hold_s(known: Mapping[str, float]) -> float:
