@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing.log_statements import size_from_rows
 from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
+from uavbatt.errors import BadInput
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 
@@ -103,6 +104,15 @@ def test_a_px4_log_of_a_smart_battery(tmp_path: Path) -> None:
     assert (sized(found).cells, sized(found).capacity_Ah) == (6, 16.0)
     of_another = read_ulog(tmp_path, ulog(STATUS, [status_row(k) for k in range(100)], [other]))
     assert of_another.identity.battery_serial == ""
+
+
+@pytest.mark.parametrize("name", [b"battery_status", b"battery_info"])
+def test_a_px4_log_whose_definition_of_a_message_lost_its_time_is_damaged(name: bytes, tmp_path: Path) -> None:
+    """One wrong letter: pyulog reads up to the first such message, and leaves its columns without a time."""
+    sound = ulog(STATUS, [status_row(k) for k in range(100)], [struct.pack("<QB32s", 0, 1, b"TB-0042")])
+    assert len(read_ulog(tmp_path, sound).samples) == 100
+    with pytest.raises(BadInput, match="expected battery messages with a voltage, found none"):
+        read_ulog(tmp_path, sound.replace(name + b":uint64_t timestamp", name + b":uint64_t timestxmp"))
 
 
 def test_the_health_in_a_px4_log(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from uavbatt.telemetry.parameters import statements_of
 _TOPICS = [*OF_PACKS, "vehicle_status", "vehicle_gps_position", *OF_ROUTE]
 _ARMED_STATE = 2  # vehicle_status.arming_state
 _US = 1e6
+_TIME = "timestamp"
 
 Event = tuple[int, int, Any]  # (time [us], rank at equal times, what happened)
 
@@ -83,9 +84,11 @@ def _open(source: str, data: bytes) -> Any:
         raise MissingExtra("ulog", "reading PX4 .ulg logs") from None
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
-            return ULog(_BoundedFile(data), message_name_filter_list=_TOPICS)
+            ulog = ULog(_BoundedFile(data), message_name_filter_list=_TOPICS)
     except Exception as error:  # pyulog raises whatever its parsing happens to raise
         raise BadInput(source, "", f"a sound ULog file, pyulog gave up ({type(error).__name__})") from None
+    ulog.data_list[:] = [topic for topic in ulog.data_list if _TIME in topic.data]  # a damaged definition has none
+    return ulog
 
 
 def _identity(ulog: Any) -> Identity:
@@ -96,7 +99,7 @@ def _identity(ulog: Any) -> Identity:
         utc_s((utc_us - time_us + ulog.start_timestamp) / _US)
         for topic in ulog.data_list
         if topic.name == "vehicle_gps_position" and "time_utc_usec" in topic.data
-        for utc_us, time_us in zip(topic.data["time_utc_usec"].tolist(), topic.data["timestamp"].tolist(), strict=True)
+        for utc_us, time_us in zip(topic.data["time_utc_usec"].tolist(), topic.data[_TIME].tolist(), strict=True)
         if utc_us > 0
     ]
     return Identity(
@@ -111,7 +114,7 @@ def _events(ulog: Any) -> Iterator[Event]:
     for time_us, name, value in ulog.changed_parameters:
         yield int(time_us), 0, (name, value)
     for topic in ulog.data_list:
-        stamps = topic.data["timestamp"]
+        stamps = topic.data[_TIME]
         if topic.name == "vehicle_status" and topic.multi_id == 0 and "arming_state" in topic.data:
             for time_us, state in zip(stamps, topic.data["arming_state"], strict=True):
                 yield int(time_us), 1, bool(state == _ARMED_STATE)
