@@ -17,6 +17,7 @@ from uavbatt.nan_equal import nan_equal
 NAN = math.nan
 FRESH_S = 5.0  # an older position is not used
 METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
+FARTHEST_HOME_M = 100_000.0  # a home that is farther away is a fault
 SLOWEST_MS, FASTEST_MS = 0.01, 100.0  # that anybody states of a multirotor; another speed is a mistake
 ALOFT_M, ALOFT_MS = 5.0, 5.0  # so high or so fast an armed aircraft is in the air
 

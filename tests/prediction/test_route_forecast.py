@@ -293,6 +293,19 @@ def test_without_a_position_and_without_home_nothing_is_invented() -> None:
     assert math.isnan(said.turn_back_s)
 
 
+def test_a_home_out_of_all_reach_is_told_and_not_flown_to() -> None:
+    """It was heard before the first position. The way there took twelve seconds to simulate, at every forecast."""
+    said = route(replace(known(leg_to(350.0)), home=replace(HOME, lat_deg=0.0)))
+    assert "home lies 5" in said.reason and said.reason.endswith("km away")
+    assert math.isnan(said.turn_back_s) and math.isnan(said.home_soc)
+
+
+def test_an_empty_pack_brings_no_charge_home() -> None:
+    """Seventy kilometres from home: every draw is empty long before it is there."""
+    said = route(waiting_at(70_000.0))
+    assert (said.home_soc, said.home_soc_lo, said.turn_back_s, said.must_turn_back_now) == (0.0, 0.0, 0.0, True)
+
+
 def test_a_return_that_the_vehicle_does_not_state_is_less_sure_and_said_to_be_assumed() -> None:
     """Of a return at 15 to 60 m, no turn-back is later than that of the lowest, or earlier than that of the highest."""
     waiting = known(to(1, 0.0, FAR_M, 12.0, hold_s=3000.0), height_m=12.0)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.navigation import Mode, Navigation, ReturnSettings
+from uavbatt.navigation import FARTHEST_HOME_M, Mode, Navigation, ReturnSettings
 from uavbatt.prediction.route.legs import Leg, Phase, Point, legs_table
 from uavbatt.prediction.route.path import ENDLESS_S, returned
 from uavbatt.prediction.route.pieces import LegTiming, Pieces, joined
@@ -107,6 +107,8 @@ def why_no_home(progress: Progress, navigation: Navigation, time_s: float) -> st
     here = here_at(time_s, navigation)
     if here is None:
         return "the position is not known" if navigation.position is None else "the position is stale"
+    if (distance_m := math.hypot(here.north_m, here.east_m)) > FARTHEST_HOME_M:
+        return f"home lies {distance_m / 1000.0:.0f} km away"
     if navigation.mode is not Mode.RETURN_BY_TRACK:
         return return_reason(navigation.mission, navigation.settings)
     if _track_home(progress, navigation) is None and not _heads_home(here, navigation):

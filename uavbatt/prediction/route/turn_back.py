@@ -113,10 +113,10 @@ def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
     at_turn, turn_at_s, stretch = asked.at_turn, asked.turn_at_s, scenarios[2]
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))[:, asked.which]
-    least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
+    least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.zeros(at_turn.bias_V.shape)
     flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
     for k in range(int(steps.max()) + 1):
-        is_asked = _is_asked(least_V)[flying]
+        is_asked = _is_asked(least_V, has_charge=bool((at_turn.state.soc[0] >= 0.0).any()))[flying]
         if not is_asked.all():
             flying, at_turn = flying[is_asked], at_turn.of(is_asked)
         is_down = steps[flying] <= k
@@ -137,14 +137,14 @@ def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
     return TurnBack(turn_at_s, least_V, np.maximum(soc[0], 0.0))
 
 
-def _is_asked(least_V: Array) -> Column:
-    """Return True for each turn [turns] that is simulated on: the first for its charge, others while a draw comes home.
+def _is_asked(least_V: Array, *, has_charge: bool) -> Column:
+    """Return True for each turn [turns] that is simulated on, while a draw comes home.
 
     From the other turns, and from the turn before each of them, no draw comes home, so that no crossing lies there
-    (`last_crossing`).
+    (`last_crossing`). The first turn is simulated for its charge, too: `has_charge` if a draw has any left.
     """
     comes_home = np.asarray((least_V >= 0.0).any(axis=1))
-    return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
+    return np.asarray(comes_home | np.concatenate([[has_charge], comes_home[:-1]]))
 
 
 def _above_V(draws: Draws, at: Source, power_W: Array, least_soc: Array) -> Array:

@@ -10,14 +10,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from uavbatt.navigation import NAN, NOWHERE, Frame, Home, Mission, Mode, Navigation, Position, Wind, offset_m
+from uavbatt.navigation import (
+    FARTHEST_HOME_M,
+    NAN,
+    NOWHERE,
+    Frame,
+    Home,
+    Mission,
+    Mode,
+    Navigation,
+    Position,
+    Wind,
+    offset_m,
+)
 from uavbatt.telemetry.route import settings
 from uavbatt.telemetry.route.position_check import PositionCheck
 
 POSITION_STEP_S = 0.2  # positions that come faster say nothing more of minutes to come
 AIRSPEED_AGE_S = 3.0  # an older airspeed is not used
 FASTEST_WIND_MS = 40.0  # in which no aircraft flies that we know: a fault of the estimate
-FARTHEST_HOME_M = 100_000.0  # a home that is farther away is a fault
 
 
 class NavigationBuilder:
