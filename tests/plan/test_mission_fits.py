@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from factories import generic_pack
-from route_rig import planned, to
+from route_rig import SETTINGS, planned, to
 
 from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
@@ -142,6 +142,16 @@ def test_a_wind_that_nobody_flies_against_leaves_no_way_home(long: MissionPlan) 
     assert any("m/s through the air" in warning for warning in found.warnings)
     assert long.here.no_way_home == ""
     assert not any("through the air" in warning for warning in long.warnings)
+
+
+def test_a_plan_knows_no_turn_back_where_the_way_home_is_not_known() -> None:
+    """The mission lands by itself, so that the rest is known all the same."""
+    items, why = (to(1, 0.0, 6000.0, 40.0), to(2, 0.0, 0.0, math.nan, action=Action.LAND)), "rally points (2)"
+    plain, elsewhere = (planned(*items, settings=replace(SETTINGS, return_reason=reason)) for reason in ("", why))
+    assert math.isfinite(plain.here.route.turn_back_lo_s) and plain.turning is not None
+    assert math.isnan(elsewhere.here.route.turn_back_lo_s) and elsewhere.turning is None
+    assert math.isnan(elsewhere.here.route.home_soc)
+    assert elsewhere.here.route.risk == plain.here.route.risk and f"no turn-back: {why}" in elsewhere.warnings
 
 
 def test_a_headwind_home_brings_the_turning_point_nearer() -> None:
