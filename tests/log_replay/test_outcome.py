@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from uavbatt.estimation.sensor_faults import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE
+from uavbatt.log_replay.in_air import in_air
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow
+from uavbatt.notice import Notice
 from uavbatt.records import NAN, Estimate, Remaining, Status
 
 TAKE_OFF_S, LANDS_S, CUTOFF_V = 100.0, 700.0, 13.2
@@ -119,3 +123,73 @@ def test_a_flight_whose_current_was_lost_for_half_a_minute_has_no_charge_at_its_
 
     assert math.isnan(without_current(660.0).end_soc) and math.isnan(without_current(660.0).end_soc_sd)
     assert without_current(680.0).end_soc == pytest.approx(0.28)
+
+
+# --- which rows are in the air: a sensor that fails there does not end the flight ---------------------------------
+
+
+def with_current(
+    since_s: float, to_s: float, current_A: float, *, armed: bool | None = None, warnings: tuple[Notice, ...] = ()
+) -> list[ReplayedRow]:
+    """The flight with another current between two times; `armed` while it is in the air."""
+    return [
+        replace(
+            one,
+            estimate=replace(one.estimate, current_A=current_A, warnings=warnings)
+            if since_s <= one.estimate.time_s < to_s
+            else one.estimate,
+            armed=armed and one.estimate.time_s < LANDS_S,
+        )
+        for one in flight()
+    ]
+
+
+def flown_s(rows: list[ReplayedRow]) -> tuple[float, float]:
+    """First and last time in the air; all rows between them are."""
+    times_s = np.flatnonzero(in_air(rows).flying).astype(float)
+    assert times_s.size == times_s[-1] - times_s[0] + 1.0
+    return float(times_s[0]), float(times_s[-1])
+
+
+def test_rows_under_load_are_in_the_air() -> None:
+    assert flown_s(flight()) == (TAKE_OFF_S, LANDS_S - 1.0)
+    assert not in_air(flight()).lost.any() and not in_air(flight()).lost_at_end.size
+
+
+@pytest.mark.parametrize(("armed", "since_s"), [(True, 200.0), (True, 660.0), (None, 660.0)])
+def test_a_current_that_is_lost_for_good_leaves_the_flight_until_it_lands(armed: bool | None, since_s: float) -> None:
+    """By its flag, or by its voltage, which recovers at the landing."""
+    found = in_air(rows := with_current(since_s, math.inf, math.nan, armed=armed))
+    assert flown_s(rows) == (TAKE_OFF_S, LANDS_S - 1.0)
+    assert found.lost_at_end.tolist() == list(range(int(since_s), int(LANDS_S)))
+    assert np.isinf(found.current_A[found.lost]).all() and np.isfinite(found.current_A[: int(since_s)]).all()
+    assert outcome(rows, CUTOFF_V).end_of_flight_s == pytest.approx(END_S, abs=3.0)
+    landing = outcome(rows, CUTOFF_V).landing
+    assert landing is not None and landing.time_s == LANDS_S - 1.0
+
+
+def test_a_current_that_comes_back_is_not_lost_at_the_end() -> None:
+    found = in_air(with_current(300.0, 400.0, math.nan))
+    assert found.lost.sum() == 100 and found.flying[300:400].all() and not found.lost_at_end.size
+
+
+def test_one_low_voltage_under_the_last_load_does_not_end_the_flight_by_voltage() -> None:
+    """Without a flag the voltage is compared with its mean of the last ten seconds under load."""
+    rows = with_current(300.0, 400.0, math.nan)
+    rows[299] = replace(rows[299], estimate=replace(rows[299].estimate, voltage_V=14.8))  # 15.0 V before and after
+    assert in_air(rows).flying[350:400].all()
+
+
+@pytest.mark.parametrize(("warning", "is_lost"), [(DEAD_CURRENT, True), (STUCK_CURRENT, True), (STUCK_VOLTAGE, False)])
+def test_a_current_that_the_monitor_doubts_is_lost(warning: Notice, is_lost: bool) -> None:
+    found = in_air(with_current(300.0, 400.0, 0.0, armed=True, warnings=(warning,)))
+    assert found.lost[300:400].all() == is_lost and found.flying[300:400].all() == is_lost
+
+
+def test_a_log_without_a_current_is_judged_by_its_voltage_alone() -> None:
+    rows = with_current(0.0, math.inf, math.nan)
+    assert not in_air(rows).flying.any()
+    found = outcome(rows, CUTOFF_V)
+    assert found.end_of_flight_s == pytest.approx(END_S, abs=3.0) and math.isnan(found.refused_in_air)
+    assert found.checkpoints[0].before_end_s == pytest.approx(found.end_of_flight_s / 2.0, abs=1.0)
+    assert found.landing is not None and found.landing.time_s == 720.0
