@@ -85,9 +85,10 @@ def test_refusals_count_after_the_first_minute_in_the_air() -> None:
 
 def test_rows_without_a_reading_at_the_end_hide_neither_voltage_nor_charge() -> None:
     rows = flight()
+    rows[-1] = replace(rows[-1], estimate=replace(rows[-1].estimate, voltage_V=13.7))
     bare = replace(rows[-1].estimate, time_s=721.0, voltage_V=NAN, soc=NAN, innovation_V=NAN, nis=NAN)
     found = outcome([*rows, replace(rows[-1], estimate=bare)], CUTOFF_V)
-    assert found.end_voltage_V == pytest.approx(13.6) and found.end_soc == pytest.approx(0.28)
+    assert found.end_voltage_V == pytest.approx(13.7) and found.end_soc == pytest.approx(0.28)
 
 
 def test_the_landing_is_the_last_row_in_the_air() -> None:
@@ -166,6 +167,9 @@ def test_a_current_that_is_lost_for_good_leaves_the_flight_until_it_lands(armed:
     assert outcome(rows, CUTOFF_V).end_of_flight_s == pytest.approx(END_S, abs=3.0)
     landing = outcome(rows, CUTOFF_V).landing
     assert landing is not None and landing.time_s == LANDS_S - 1.0
+    silent = [refused(one) if one.estimate.time_s >= since_s else one for one in rows]
+    landing = outcome(silent, CUTOFF_V).landing
+    assert landing is not None and math.isnan(landing.remaining_s) and landing.current_lost_s == since_s
 
 
 def test_a_current_that_comes_back_is_not_lost_at_the_end() -> None:
@@ -177,7 +181,7 @@ def test_one_low_voltage_under_the_last_load_does_not_end_the_flight_by_voltage(
     """Without a flag the voltage is compared with its mean of the last ten seconds under load."""
     rows = with_current(300.0, 400.0, math.nan)
     rows[299] = replace(rows[299], estimate=replace(rows[299].estimate, voltage_V=14.8))  # 15.0 V before and after
-    assert in_air(rows).flying[350:400].all()
+    assert in_air(rows).flying[300:400].all()
 
 
 @pytest.mark.parametrize(("warning", "is_lost"), [(DEAD_CURRENT, True), (STUCK_CURRENT, True), (STUCK_VOLTAGE, False)])
