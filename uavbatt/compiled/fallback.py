@@ -6,9 +6,11 @@ import functools
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba.core.errors import NumbaError, UnsupportedBytecodeError
+from numba.core import errors
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+# The second is no NumbaError, and numba 0.60 does not have it.
+CANNOT_COMPILE = (errors.NumbaError, getattr(errors, "UnsupportedBytecodeError", errors.NumbaError))
 
 
 def plain_where_it_fails(fast: Function, plain: Function) -> Function:
@@ -23,7 +25,7 @@ def plain_where_it_fails(fast: Function, plain: Function) -> Function:
         nonlocal chosen
         try:
             return chosen(*given)
-        except (NumbaError, UnsupportedBytecodeError):
+        except CANNOT_COMPILE:
             chosen = plain
             return plain(*given)
 
