@@ -253,6 +253,30 @@ def test_changing_a_run_does_not_change_its_own_prediction(study: DataSet) -> No
     assert np.abs(after.model_V[1] - before.model_V[1]).max() > 0.01
 
 
+def test_a_fast_record_is_judged_at_every_row_and_a_hand_read_one_at_its_minutes(study: DataSet) -> None:
+    found = [r for r in study.at(25.0) if r.sample == "1" and r.run <= 2]
+    load_A = 15.0  # 2 Ah in the eight minutes
+    every_s = np.arange(0.0, found[0].time_s[-1] + 1.0, 15.0)
+
+    def read_every(time_s: Array) -> DataSet:
+        runs = tuple(
+            replace(r, time_s=time_s, voltage_V=np.interp(time_s, r.time_s, r.voltage_V),
+                    surface_C=np.full(time_s.size, np.nan), current_A=np.where(time_s > 0.0, load_A, 0.0))
+            for r in found
+        )  # fmt: skip
+        return replace(study, runs=runs, capacity_Ah=2.1, flags=())
+
+    by_hand, logged = (heldout.circuit(read_once(read_every(at_s))) for at_s in (found[0].time_s, every_s))
+    assert by_hand.curves == () and (by_hand.row_s, logged.row_s) == (60.0, 15.0)
+    assert [(c.occasion, c.sample) for c in logged.curves] == [(0, 0), (1, 0)]
+    for curve in logged.curves:
+        at = np.isin(curve.time_s, logged.time_s)
+        assert curve.time_s.size > 3 * logged.time_s.size
+        assert curve.model_V[at] - curve.measured_V[at] == pytest.approx(
+            logged.residual_V()[curve.occasion, : at.sum()], abs=0.02
+        )
+
+
 def test_a_straight_record_is_read_exactly_and_noise_goes_down() -> None:
     time_s = np.arange(0.0, 301.0, 5.0)
     phase = np.zeros(time_s.size, dtype=np.intp)
