@@ -15,6 +15,7 @@ from scipy import stats
 from uavbatt import dataset
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet, Uncertainty
+from uavbatt.errors import NotEnoughData
 from uavbatt.validation.gating import budget, gate, heldout
 from uavbatt.validation.gating.gate import Limits
 from uavbatt.validation.gating.heldout import HeldOut
@@ -251,6 +252,25 @@ def test_changing_a_run_does_not_change_its_own_prediction(study: DataSet) -> No
     before, after = heldout.circuit(read_once(short)), heldout.circuit(read_once(replace(short, runs=spoilt)))
     assert after.model_V[0] == pytest.approx(before.model_V[0], abs=1e-9)
     assert np.abs(after.model_V[1] - before.model_V[1]).max() > 0.01
+
+
+def test_a_test_that_nobody_repeated_cannot_be_left_out(study: DataSet) -> None:
+    once = replace(study, runs=tuple(r for r in study.at(25.0) if r.run == 1))
+    for runs in (once.runs, tuple(r for r in once.runs if r.sample == "T1")):
+        with pytest.raises(NotEnoughData, match="expected repeated runs at one ambient temperature"):
+            heldout.circuit(read_once(replace(once, runs=runs)))
+
+
+def test_instants_before_the_load_are_at_rest_by_the_current_or_by_the_clock(study: DataSet, held: HeldOut) -> None:
+    """The study tells no current: its first row, at 0 s, is the one before the load."""
+    assert held.at_rest.tolist() == [True] + [False] * (held.time_s.size - 1)
+    late = [
+        replace(r, current_A=np.where(r.time_s > 60.0, 15.0, 0.0), surface_C=np.full(r.time_s.size, np.nan))
+        for r in study.at(25.0) if r.sample == "1" and r.run <= 2
+    ]  # fmt: skip
+    readings = read_once(replace(study, runs=tuple(late), capacity_Ah=2.1, flags=()))
+    levels = heldout.repeats(readings)
+    assert heldout.rest_at(readings.dataset, levels) == tuple((levels.time_s <= 60.0).tolist())
 
 
 def test_a_fast_record_is_judged_at_every_row_and_a_hand_read_one_at_its_minutes(study: DataSet) -> None:
