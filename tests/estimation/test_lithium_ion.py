@@ -30,6 +30,7 @@ def test_their_generic_file_warns_in_time(number: int) -> None:
     assert found.refused < 0.02 and found.covered > 0.9
 
 
+@pytest.mark.slow  # its witness: the test above
 def test_it_is_nearer_than_that_of_lipo_cells() -> None:
     ours, lipo = (
         [abs(j.half.error_s) / j.flown_s for j in found]

@@ -152,7 +152,7 @@ def of_make(volts: tuple[float, ...], ground_s: int = 15) -> FittedBattery:
     return fit_battery(RecordedPack("mine", 6, 8.4, cutoff_V), [], logs if ground_s else airborne)
 
 
-@pytest.mark.parametrize("ground_s", [15, 0], ids=["from rest", "from the air"])
+@pytest.mark.parametrize("ground_s", [15, pytest.param(0, marks=pytest.mark.slow)], ids=["from rest", "from the air"])
 def test_flights_of_lithium_ion_cells_tell_their_curve(ground_s: int) -> None:
     """It was up to 0.6 V too high with the prior of a LiPo cell, and ohms twice as large explained the voltage."""
     made = of_make(NMC_V, ground_s)

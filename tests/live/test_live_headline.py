@@ -171,7 +171,7 @@ LOST: dict[str, Callable[[Sample], Sample | None]] = {
 }
 
 
-@pytest.mark.parametrize("how", LOST)
+@pytest.mark.parametrize("how", [how if how == "silent" else pytest.param(how, marks=pytest.mark.slow) for how in LOST])
 def test_a_camera_never_speaks_for_an_aircraft_whose_own_battery_is_lost(how: str) -> None:
     bench = two_packs()
     camera(bench, 90.0, lambda sample: sample)
