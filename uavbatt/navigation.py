@@ -18,7 +18,8 @@ NAN = math.nan
 FRESH_S = 5.0  # an older position is not used
 METRES_PER_DEGREE = 111_194.9  # on a sphere with a radius of 6371 km
 FARTHEST_HOME_M = 100_000.0  # a home that is farther away is a fault
-SLOWEST_MS, FASTEST_MS = 0.01, 100.0  # that anybody states of a multirotor; another speed is a mistake
+# What is stated of a multirotor lies within these: other speeds, heights and waits are mistakes.
+STATED_MS, HIGHEST_STATED_M, LONGEST_STATED_S = (0.01, 100.0), 20_000.0, 86_400.0
 ALOFT_M, ALOFT_MS = 5.0, 5.0  # so high or so fast an armed aircraft is in the air
 
 
@@ -177,6 +178,11 @@ class Position:
     east_ms: float = NAN
     up_ms: float = NAN
     airspeed_ms: float = NAN
+
+
+def is_stated_speed(speed_ms: float) -> bool:
+    """Return True if somebody may state this speed [m/s] of a multirotor."""
+    return STATED_MS[0] <= speed_ms <= STATED_MS[1]
 
 
 def offset_m(place: Home | Position, lat_deg: float, lon_deg: float) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import atomic_write, read_bounded, without_none
-from uavbatt.navigation import FASTEST_MS, SLOWEST_MS, UNSTATED, ReturnSettings
+from uavbatt.navigation import STATED_MS, UNSTATED, ReturnSettings
 
 SUFFIX = ".vehicle.toml"
 MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
@@ -25,7 +25,7 @@ MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
 Watts = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-Speed = Annotated[float, msgspec.Meta(ge=SLOWEST_MS, le=FASTEST_MS)]
+Speed = Annotated[float, msgspec.Meta(ge=STATED_MS[0], le=STATED_MS[1])]
 Height = Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)]
 Points = msgspec.Meta(min_length=2, max_length=MOST_POINTS)
 

@@ -22,7 +22,7 @@ from uavbatt.compiled.member import predict, settle, shown_V, update
 from uavbatt.estimation import innovation, noise, recursion
 from uavbatt.estimation import meter as voltmeter
 from uavbatt.estimation.block import BLOCK_S, Block
-from uavbatt.estimation.innovation import Innovation, Tangent, points, through, within_block
+from uavbatt.estimation.innovation import Innovation, Tangent, tangent_points, tangent_through, within_block
 from uavbatt.estimation.meter import Meter, Scatter, meter_after, meter_noise, scatter_after
 from uavbatt.estimation.recursion import FilteredRow, FilterState, weighed
 from uavbatt.estimation.summary import summary
@@ -99,16 +99,9 @@ def begun(state: FilterState, samples: Sequence[Sample]) -> tuple[Moments, Stand
     """Return the arguments of `run` after the pack: state, rows [4, n], and the largest number of beliefs."""
     belief, block = state.belief, np.array(state.block, dtype=float)
     standing = Standing(
-        state.time_s,
-        state.current_A,
-        state.block_A,
-        state.tangent,
-        block,
-        state.air,
-        state.load,
-        state.meter,
-        state.scatter,
-    )
+        state.time_s, state.current_A, state.block_A, state.tangent, block,
+        state.air, state.load, state.meter, state.scatter,
+    )  # fmt: skip
     rows = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     moments = Moments(belief.means, belief.covariances, belief.log_weights)
     return moments, as_numbers(standing), rows, most_beliefs(rows[0], state.time_s)
@@ -187,7 +180,7 @@ def with_row(at: Standing, time_s: float, voltage_V: float, current_A: float, te
 @compiled
 def tangent(pack: Pack, x: Array, log_weight: Array, current_A: float) -> Tangent:
     """Return the tangent of the model at the members' means, as `innovation.tangent` does."""
-    points_A, drawn_As = points(pack, current_A)
+    points_A, drawn_As = tangent_points(pack, current_A)
     volts, soc = np.zeros(3), np.zeros(3)
     for k in range(log_weight.size):
         weight, now, at = np.exp(log_weight[k]), b.unpack(pack, x[k]), x[k].copy()
@@ -195,7 +188,7 @@ def tangent(pack: Pack, x: Array, log_weight: Array, current_A: float) -> Tangen
             at[X.SOC] = x[k, X.SOC] - drawn_As[i] / (3600.0 * now.installation.present_capacity_Ah)
             volts[i] += weight * shown_V(pack, now, at, X.SOC, points_A[i])
             soc[i] += weight * at[X.SOC]
-    return through(points_A, drawn_As, volts, soc)
+    return tangent_through(points_A, drawn_As, volts, soc)
 
 
 @compiled

@@ -49,15 +49,15 @@ NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
 
 def tangent(pack: Pack, belief: Belief, current_A: float) -> Tangent:
     """Return the tangent of the model at a belief under the true pack current `current_A` [A]: means of the members."""
-    points_A, drawn_As = points(pack, current_A)
+    points_A, drawn_As = tangent_points(pack, current_A)
     x = np.repeat(belief.means.T[:, None], points_A.size, axis=1)
     x[X.SOC] -= drawn_As[:, None] / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[X.LOG_CAPACITY]))
-    return through(
+    return tangent_through(
         points_A, drawn_As, b.voltage(pack, x, points_A[:, None]) @ belief.weights, x[X.SOC] @ belief.weights
     )
 
 
-def points(pack: Pack, current_A: float) -> tuple[Array, Array]:
+def tangent_points(pack: Pack, current_A: float) -> tuple[Array, Array]:
     """Return the three points of a tangent: as it is now, under more current, with charge drawn; in [A] and [A s]."""
     capacity_Ah = pack.installation.present_capacity_Ah
     points_A, drawn_As = np.full(3, current_A), np.zeros(3)
@@ -66,8 +66,8 @@ def points(pack: Pack, current_A: float) -> tuple[Array, Array]:
     return points_A, drawn_As
 
 
-def through(points_A: Array, drawn_As: Array, volts: Array, soc: Array) -> Tangent:
-    """Return the tangent through the voltages [V] and the charges that are expected at the three `points`."""
+def tangent_through(points_A: Array, drawn_As: Array, volts: Array, soc: Array) -> Tangent:
+    """Return the tangent through the voltages [V] and the charges that are expected at the three `tangent_points`."""
     return Tangent(
         float(points_A[0]),
         float(volts[0]),

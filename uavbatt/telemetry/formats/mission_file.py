@@ -27,7 +27,7 @@ import msgspec
 
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import read_bounded
-from uavbatt.navigation import FASTEST_MS, NAN, SLOWEST_MS, Home, Mission, Navigation, ReturnSettings
+from uavbatt.navigation import NAN, STATED_MS, Home, Mission, Navigation, ReturnSettings, is_stated_speed
 from uavbatt.telemetry.route import commands
 from uavbatt.telemetry.route.commands import Fields
 
@@ -170,9 +170,9 @@ def _plan(path: str | Path, data: bytes) -> PlannedFlight:
     is_px4 = said.firmware == _FIRMWARE_PX4
     place = [NAN if v is None else v for v in said.home or ()]
     home = Home(place[0], place[1], place[2] if len(place) > 2 else NAN) if len(place) > 1 else None
-    if said.hover_ms and not SLOWEST_MS <= said.hover_ms <= FASTEST_MS:
-        expected = f"{SLOWEST_MS:g} to {FASTEST_MS:g} m/s"
-        raise BadInput(path, "key mission.hoverSpeed", f"{expected}, found {said.hover_ms:g}")
+    if said.hover_ms and not is_stated_speed(said.hover_ms):
+        low_ms, high_ms = STATED_MS
+        raise BadInput(path, "key mission.hoverSpeed", f"{low_ms:g} to {high_ms:g} m/s, found {said.hover_ms:g}")
     mission, for_other = (_uploaded(path, plan, home, is_px4, has_home) for has_home in (not is_px4, is_px4))
     return PlannedFlight(mission, home, said.hover_ms or NAN, (for_other,))
 

@@ -12,7 +12,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.navigation import FASTEST_MS, NAN, SLOWEST_MS, Action, Frame, Mission, MissionItem, SpeedKind
+from uavbatt.navigation import (
+    HIGHEST_STATED_M,
+    LONGEST_STATED_S,
+    NAN,
+    Action,
+    Frame,
+    Mission,
+    MissionItem,
+    SpeedKind,
+    is_stated_speed,
+)
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 LOITER_TO_HEIGHT, SPLINE, DELAY, PLACE, JUMP, SPEED = 31, 82, 93, 94, 177, 178
@@ -25,7 +35,7 @@ _AT_A_PLACE = {
     LOITER_TURNS: Action.LOITER_TURNS, LOITER_TIME: Action.LOITER_TIME, LAND: Action.LAND, TAKEOFF: Action.TAKEOFF,
     LOITER_TO_HEIGHT: Action.LOITER_TO_HEIGHT, PLACE: Action.PLACE,
 }  # fmt: skip
-HIGHEST_M, LONGEST_S, _MOST_TURNS = 20_000.0, 86_400.0, 10_000.0
+_MOST_TURNS = 10_000.0
 
 # Camera, gimbal, servo, fence, tags and conditions of such items: they move nothing and take no time.
 _HARMLESS = frozenset(
@@ -134,7 +144,7 @@ def _at_a_place(fields: Fields, is_px4: bool) -> MissionItem:
     action, frame = _AT_A_PLACE[fields.command], FRAMES.get(fields.frame)
     if action is Action.LAND or (alt_m == 0.0 and not is_px4 and action is not Action.TAKEOFF):
         alt_m = NAN
-    if abs(alt_m) > HIGHEST_M:
+    if abs(alt_m) > HIGHEST_STATED_M:
         return _unknown(fields, f"a height of {alt_m:g} m")
     if alt_m == alt_m and frame is None:
         said = f"height in frame {fields.frame}" if fields.frame >= 0 else "height without a frame"
@@ -155,7 +165,7 @@ def _stay(fields: Fields, item: MissionItem) -> MissionItem:
     may_be_open = item.action in (Action.WAYPOINT, Action.SPLINE) and fields.param1 != fields.param1
     if may_be_open or item.action in (Action.TAKEOFF, Action.LAND, Action.PLACE, Action.LOITER_TO_HEIGHT):
         return item
-    if not 0.0 <= fields.param1 <= LONGEST_S:
+    if not 0.0 <= fields.param1 <= LONGEST_STATED_S:
         return _unknown(fields, f"a stay of {fields.param1:g} s")
     return replace(item, hold_s=fields.param1)
 
@@ -168,7 +178,7 @@ def _radius_m(said: float) -> float:
 def _speed(fields: Fields) -> MissionItem:
     """Return the item of DO_CHANGE_SPEED: a speed of -1 changes nothing, -2 is the vehicle's own speed again."""
     kind = SPEED_KINDS.get(int(fields.param1)) if math.isfinite(fields.param1) else None
-    if kind is None or fields.param2 > FASTEST_MS or 0.0 < fields.param2 < SLOWEST_MS:
+    if kind is None or (fields.param2 > 0.0 and not is_stated_speed(fields.param2)):
         return _unknown(fields, f"a speed of {fields.param2:g} m/s of kind {fields.param1:g}")
     if fields.param2 > 0.0 or fields.param2 == -2.0:
         speed_ms = fields.param2 if fields.param2 > 0.0 else NAN
@@ -186,7 +196,7 @@ def _jump(fields: Fields) -> MissionItem:
 
 def _delay(fields: Fields) -> MissionItem:
     """Return the item of NAV_DELAY in seconds; -1 seconds mean a time of day, which is not understood."""
-    if not 0.0 <= fields.param1 <= LONGEST_S:
+    if not 0.0 <= fields.param1 <= LONGEST_STATED_S:
         return _unknown(fields, "waiting for a time of day is not understood")
     return MissionItem(fields.seq, Action.DELAY, hold_s=fields.param1, command=fields.command)
 

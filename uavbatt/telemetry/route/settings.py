@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from uavbatt.navigation import FASTEST_MS, NAN, SLOWEST_MS, ReturnSettings
-from uavbatt.telemetry.route.commands import HIGHEST_M, LONGEST_S
+from uavbatt.navigation import HIGHEST_STATED_M, LONGEST_STATED_S, NAN, ReturnSettings, is_stated_speed
 
 _CENTI = 0.01
 _CRUISE = (("WP_SPD", 1.0), ("WPNAV_SPEED", _CENTI), ("MPC_XY_CRUISE", 1.0))
@@ -81,7 +80,7 @@ def return_settings(known: Mapping[str, float], is_px4: bool = False) -> ReturnS
     )
 
 
-def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...], most: float = HIGHEST_M) -> float:
+def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...], most: float = HIGHEST_STATED_M) -> float:
     """Return the first of the named parameters that is known, in SI; NaN if none is, or if it is beyond `most`."""
     value = next((known[name] * factor for name, factor in names if math.isfinite(known.get(name, NAN))), NAN)
     return value if abs(value) <= most else NAN
@@ -93,13 +92,13 @@ def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) 
 
 
 def _speed_ms(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
-    value = _first(known, names, FASTEST_MS)
-    return value if value >= SLOWEST_MS else NAN
+    value = _first(known, names)
+    return value if is_stated_speed(value) else NAN
 
 
 def _hold_s(known: Mapping[str, float]) -> float:
     """Return the wait above home [s]; PX4's -1 (for ever) is told by `return_final_m`."""
-    hold_s = _first(known, _RETURN_HOLD, LONGEST_S)
+    hold_s = _first(known, _RETURN_HOLD, LONGEST_STATED_S)
     return max(hold_s, 0.0) if math.isfinite(hold_s) else NAN
 
 
