@@ -66,7 +66,10 @@ def test_only_commands_that_move_nothing_are_passed_over() -> None:
 
 @pytest.mark.parametrize(("part", "words"), WORDS.items())
 def test_a_command_that_is_not_understood_is_named_in_words(part: str, words: str) -> None:
-    numbers = [number for number, name in COMMANDS.items() if part in name and action_of(number) is Action.UNKNOWN]
+    named = [number for number, name in COMMANDS.items() if part in name]
+    if not named:
+        pytest.skip(f"this pymavlink knows no {part}")  # 2.4.40, the oldest allowed, lacks two of them
+    numbers = [number for number in named if action_of(number) is Action.UNKNOWN]
     told = {mission_item(Fields(1, 3, number, 0.0, 0.0, 0.0, 0.0, 47.0, 8.0, 30.0)).reason for number in numbers}
     assert any(reason.startswith(f"{words} is not understood") for reason in told)
 
@@ -103,9 +106,11 @@ def test_the_vehicles_whose_modes_are_known_are_those_with_rotors() -> None:
     """A generic multirotor was none: its route was never used."""
     rotors = ("QUADROTOR", "COAXIAL", "HELICOPTER", "HEXAROTOR", "OCTOROTOR", "TRICOPTER", "DODECAROTOR", "DECAROTOR",
               "GENERIC_MULTIROTOR")  # fmt: skip
-    for number, entry in dialect.enums["MAV_TYPE"].items():
+    types = {number: entry.name.removeprefix("MAV_TYPE_") for number, entry in dialect.enums["MAV_TYPE"].items()}
+    for number, name in types.items():
         said = SimpleNamespace(type=number, autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode=3)
-        assert (mode_of(said) is Mode.MISSION) is (entry.name.removeprefix("MAV_TYPE_") in rotors), entry.name
+        if name != "ENUM_END":  # its number is that of the next one
+            assert (mode_of(said) is Mode.MISSION) is (name in rotors), name
 
 
 def test_each_constant_that_is_named_as_a_message_has_its_number() -> None:
