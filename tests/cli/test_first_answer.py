@@ -13,18 +13,19 @@ from typing import Any
 
 import pytest
 from command import UAVBATT, called
+from factories import generic_estimator
 
-from uavbatt import Estimator, Sample
-from uavbatt.battery.battery_file import read_battery
+from uavbatt import Sample
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
-from uavbatt.log_replay.run import engine_for, steps
+from uavbatt.log_replay.run import steps
 from uavbatt.records import Flight
 from uavbatt.report.flight.answer import first_answer, rounded
 from uavbatt.report.flight.limits import limits_of
 from uavbatt.telemetry import read_log
 
 LOGS = Path(__file__).parents[2] / "logs"
+STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 SHORT = "time_s,voltage_V,current_A\n" + "".join(
     f"{k},{16.2 - 0.002 * k:.3f},{0.1 if k < 5 else 18}\n" for k in range(90)
 )
@@ -35,9 +36,7 @@ def landed(rest_s: float, air_s: float = 300.0) -> Outcome:
     hover = [Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(10, int(air_s))]
     rest = [Sample(air_s + k, 16.0, 0.1, 25.0) for k in range(int(rest_s))]
     ground = [Sample(float(k), 16.7, 0.1, 25.0) for k in range(10)]
-    generic, options = read_battery("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    estimator = Estimator(generic, options, engine=engine_for(is_long=True))
-    run = list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), estimator))
+    run = list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), generic_estimator(STATED)))
     return outcome(run, 13.2)
 
 
@@ -61,9 +60,8 @@ def without_current(lost_A: float, armed: bool | None, *, to_the_end: bool = Fal
     ground = [Sample(float(k), 16.7, 0.1, 25.0, armed=armed and False) for k in range(10)]
     air = [Sample(float(k), 16.2 - fall_V[k], 18.0 if k < 200 else lost_A, 25.0, armed=armed) for k in range(10, end_s)]
     rest = [Sample(float(end_s + k), 16.1, lost_A, 25.0, armed=armed and False) for k in range(rest_s)]
-    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    estimator = Estimator(read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
-    return outcome(list(steps(Flight("f.csv", "csv", (*ground, *air, *rest)), estimator)), 13.2)
+    run = list(steps(Flight("f.csv", "csv", (*ground, *air, *rest)), generic_estimator(STATED)))
+    return outcome(run, 13.2)
 
 
 @pytest.mark.parametrize("armed", [True, None])
@@ -90,8 +88,7 @@ def test_a_current_that_is_lost_on_the_ground_changes_no_answer(armed: bool | No
     ground = [Sample(float(k), 16.7, 0.1, 25.0, armed=armed and False) for k in range(10)]
     hover = [Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0, armed=armed) for k in range(10, 300)]
     rest = [Sample(300.0 + k, 16.0, math.nan, 25.0, armed=armed and False) for k in range(200)]
-    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), estimator)), 13.2)
+    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), generic_estimator(STATED))), 13.2)
     assert found.landing is not None and found.landing.remaining_s > 0.0 and found.refused_in_air == 0.0
 
 
@@ -99,8 +96,7 @@ def test_a_charge_that_every_row_refuses_is_not_the_charge_at_the_end() -> None:
     """A sensor of reversed sign: "100 % charge left (100 % to 100 %)" was said of a pack that was emptied."""
     ground = [Sample(float(k), 16.7, -0.1, 25.0) for k in range(30)]
     hover = [Sample(float(k), 16.2 - 0.0035 * k, -18.0, 25.0) for k in range(30, 900)]
-    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover)), estimator)), 13.2)
+    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover)), generic_estimator(STATED))), 13.2)
     assert math.isnan(found.end_soc)
     said = first_answer(found.landing, found.end_of_flight_s, 13.2)
     assert said.startswith("The battery was at its end before you landed")
@@ -250,7 +246,7 @@ def test_plain_says_what_a_pilot_asks_and_no_more(tmp_path: Path) -> None:
 def test_a_short_time_on_a_charged_pack_is_explained(remaining_s: float, is_said: bool) -> None:
     """12.5 min at 18 A are in 75 % of 5 Ah: where the forecast says a minute, the voltage is the reason."""
     flight = Flight("f.csv", "csv", tuple(Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(200)))
-    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimator = generic_estimator(STATED)
     run = list(steps(flight, estimator))
     found, resolved = outcome(run, 13.2), estimator.pack_size
     assert found.landing is not None and resolved is not None

@@ -15,6 +15,7 @@ from uavbatt.estimator import Estimator
 
 # Two flights of each make (NCA, NMC, NMC with silicon): packs of 72 to 102 %, full and not.
 FLIGHTS = (2, 3, 10, 11, 25, 27)
+QUICK = (3, 11, 25)  # one of each make, the witness for the others
 
 
 @cache
@@ -22,7 +23,7 @@ def judged(number: int) -> Judged:
     return wrong_judged.judged(lithium_ion.case(GENERIC_LITHIUM_ION, number))
 
 
-@pytest.mark.parametrize("number", FLIGHTS)
+@pytest.mark.parametrize("number", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in FLIGHTS])
 def test_their_generic_file_warns_in_time(number: int) -> None:
     """Read as LiPo cells, the pack of flight 11 had no number in its last two minutes, and no alarm at all."""
     found = judged(number)

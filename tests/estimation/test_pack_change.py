@@ -110,7 +110,7 @@ def unseen(first: Pack, air_s: int, silent_s: float, second: Pack, restarts: boo
 def test_a_pack_changed_behind_a_lost_link_is_told_by_the_counter(air_s: int, silent_s: float, soc: float) -> None:
     """The link is back in the air: no rested voltage is seen. The time of the old pack was told for half a minute."""
     rows = unseen(Pack(), air_s, silent_s, Pack(soc=soc))
-    said = list(generic_estimator(STATED, 1.0).run(rows))
+    said = list(generic_estimator(STATED, 3.0).run(rows))
     lost_s, end_s = 15.0 + air_s, rows[-1].time_s
     told = [e for e, _ in said if e.time_s < lost_s][-1]
     back = [(e, r) for e, r in said if e.time_s > lost_s + silent_s + 3.0]
@@ -125,7 +125,7 @@ def test_the_same_pack_after_five_silent_minutes_keeps_what_the_flight_told() ->
     rows += flown(pack, 15.0, 300, rows[-1].consumed_Ah)
     silent_from_s = rows[-1].time_s
     rows += flown(pack, silent_from_s + 300.0, drawn_Ah=rows[-1].consumed_Ah)
-    said = [e for e, _ in generic_estimator(STATED, 1.0).run(rows)]
+    said = [e for e, _ in generic_estimator(STATED).run(rows)]
     told = [e for e in said if e.time_s <= silent_from_s][-1]
     back = next(e for e in said if e.time_s > silent_from_s + 10.0)
     assert back.capacity_scale_sd < told.capacity_scale_sd + 0.01

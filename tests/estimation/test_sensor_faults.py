@@ -72,7 +72,7 @@ def flight(rate_Hz: float, seed: int) -> list[Sample]:
 
 def said_after(rows: list[Sample], begin_s: float) -> list[tuple[Estimate, Remaining]]:
     stated = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
-    return [said for said in generic_estimator(stated, period_s=1.0).run(rows) if said[0].time_s > begin_s]
+    return [said for said in generic_estimator(stated, period_s=2.0).run(rows) if said[0].time_s > begin_s]
 
 
 def doubted(said: list[tuple[Estimate, Remaining]], kind: Kind = Kind.DEAD_CURRENT) -> list[float]:

@@ -57,10 +57,10 @@ def fitted(flights: list[Flight]) -> FittedBattery:
 
 
 def test_a_log_that_begins_in_the_air_does_not_bend_the_curve_of_the_others(shared_data: Path) -> None:
-    flights = [read_log(path) for path in sorted((shared_data / "missions/learn").glob("*.tlog"))[:5]]
-    begun_s = flights[4].samples[0].time_s + 300.0
-    later = replace(flights[4], samples=tuple(s for s in flights[4].samples if s.time_s > begun_s))
-    found, without = fitted([*flights[:4], later]), fitted(flights[:4])
+    flights = [read_log(path) for path in sorted((shared_data / "missions/learn").glob("*.tlog"))[:3]]
+    begun_s = flights[2].samples[0].time_s + 300.0
+    later = replace(flights[2], samples=tuple(s for s in flights[2].samples if s.time_s > begun_s))
+    found, without = fitted([*flights[:2], later]), fitted(flights[:2])
     assert found.file.parameters == without.file.parameters
     assert "left out" in found.doubtful[0] and not any("left out" in words for words in without.doubtful)
 

@@ -16,6 +16,7 @@ from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_o
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay.run import engine_for
 from uavbatt.packs import remembering
 from uavbatt.packs.ageing import history
 from uavbatt.packs.ledger import Ledger
@@ -165,7 +166,7 @@ def test_a_stated_name_goes_before_the_serial(emptied):
 def test_the_flights_own_evidence_overrules_what_is_remembered(record):
     """A pack remembered as aged is as good as new: at the end the flight believes its own readings."""
     aged = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
-    estimator = Estimator(BATTERY, OPTIONS, remembered=aged)
+    estimator = Estimator(BATTERY, OPTIONS, engine=engine_for(is_long=True), remembered=aged)
     *_, (estimate, _) = estimator.run(flight(3, effects={}).samples)
     assert estimate.capacity_scale == pytest.approx(1.0, abs=0.05)
 
@@ -236,7 +237,7 @@ def test_the_kind_of_a_packs_cells_is_remembered(tmp_path):
             ledger.save("A", remembering.flight_for_ledger(generic, options, one, before).record)
         part = lihv(3, 0.83, 5)
         health = remembering.health_before(ledger, "A", part, generic)
-        estimator = Estimator(generic, options, remembered=health)
+        estimator = Estimator(generic, options, engine=engine_for(is_long=True), remembered=health)
         end_s = part.samples[-1].time_s
         late = [r for _, r in estimator.run(part.samples) if end_s - 240.0 < r.time_s < end_s - 20.0]
         assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 15.0
@@ -255,7 +256,7 @@ def test_what_was_read_by_the_curve_of_ordinary_cells_is_left_out_for_others(tmp
             ledger.save("A", remembering.flight_for_ledger(generic, options, lihv(number, 0.81, number)).record)
         full = lihv(3, 1.0, 5)
         health = remembering.health_before(ledger, "A", full, generic)
-        estimator = Estimator(generic, options, remembered=health)
+        estimator = Estimator(generic, options, engine=engine_for(is_long=True), remembered=health)
         after = ledger.save("A", remembering.flight_for_ledger(generic, options, full, health).record)
         assert [finding.kind for finding in after.findings] == ["higher_charge"]
         own = ledger.pack("A").outlook

@@ -6,12 +6,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from factories import generic_estimator
 from scoring.other_pack import CELLS, CUTOFF_V, Pack, Power, drawn, flown, rested
 
-from uavbatt.battery import battery_file
 from uavbatt.battery.sizing.pack_size import PackOptions
-from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.pending import ENDS_SOON
 from uavbatt.records import NAN, Status
 
@@ -21,7 +19,7 @@ def test_a_capacity_that_cannot_be_takes_the_time_away_and_not_the_alarm() -> No
     pack = Pack(capacity_Ah=16.0, size_Ah=16.0)
     rows = [*rested(pack, 20, 0.0), *flown(pack, 20.0)]
     options = PackOptions(cells=CELLS, capacity_Ah=3.3, cutoff_V=CUTOFF_V)
-    run = list(Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows))
+    run = list(generic_estimator(options).run(rows))
     end_s = rows[-1].time_s
     last = [(estimate, remaining) for estimate, remaining in run if end_s - 60.0 < estimate.time_s < end_s - 20.0]
     assert all(remaining.remaining_s != remaining.remaining_s for _, remaining in last)
@@ -36,7 +34,7 @@ def test_a_current_that_is_lost_takes_the_time_away_and_not_the_alarm(lost_s: fl
     rows = [*rested(pack, 20, 0.0), *flown(pack, 20.0)]
     rows = [row if row.time_s < lost_s else replace(row, current_A=NAN) for row in rows]
     options = PackOptions(cells=CELLS, capacity_Ah=pack.size_Ah, cutoff_V=CUTOFF_V)
-    run = list(Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows))
+    run = list(generic_estimator(options).run(rows))
     end_s = rows[-1].time_s
     last = [remaining for _, remaining in run if remaining.time_s > lost_s + 10.0]
     assert all(remaining.remaining_s != remaining.remaining_s for remaining in last)
@@ -60,8 +58,7 @@ def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None
         for k in range(1, 1201)
     ]
     options = PackOptions(cells=CELLS, capacity_Ah=pack.size_Ah, cutoff_V=CUTOFF_V)
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
-    said = [remaining for _, remaining in estimator.run([*rows, *under])][len(rows) + 5 :]
+    said = [remaining for _, remaining in generic_estimator(options).run([*rows, *under])][len(rows) + 5 :]
     assert {remaining.remaining_s for remaining in said} == {0.0}
     assert not any(remaining.status is Status.OK for remaining in said)
 
@@ -73,7 +70,7 @@ def test_the_time_by_the_voltage_is_not_lost_when_the_belief_changes_its_mind() 
     powers = (13.2 * watts for watts in Power().rows_W(3))
     rows = [*ground, *drawn(pack, powers, 15.0, ground[-1].consumed_Ah, cutoff_V=3.0 * CUTOFF_V).rows][::2]
     options = PackOptions(cells=12, capacity_Ah=220.0, cutoff_V=3.0 * CUTOFF_V)
-    run = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows)
+    run = generic_estimator(options, period_s=1.0).run(rows)
     end_s = rows[-1].time_s
     said_s = [remaining.remaining_s for estimate, remaining in run if estimate.time_s >= end_s - 45.0]
     assert all(later < before + 5.0 for before, later in pairwise(said_s))

@@ -34,7 +34,7 @@ def test_a_flight_after_a_reboot_has_another_pack(tmp_path: Path, soc: float) ->
     first = [*rested(Pack(), 15, 0.0), *flown(Pack(), 15.0, 100)]
     second = flown(Pack(soc=soc), 0.0)
     rows = logged(tmp_path / "two.BIN", first, second)
-    said = list(generic_estimator(STATED, 1.0).run(rows))
+    said = list(generic_estimator(STATED, 3.0).run(rows))
     told, begin_s, end_s = said[len(first) - 1][0], rows[len(first)].time_s, rows[-1].time_s
     back = [(e, r) for e, r in said if e.time_s >= begin_s + 3.0]
     assert back[0][0].capacity_scale_sd > told.capacity_scale_sd + 0.02
