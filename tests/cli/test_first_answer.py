@@ -15,7 +15,7 @@ import pytest
 from command import UAVBATT, called
 from factories import generic_estimator
 
-from uavbatt import Sample
+from uavbatt import Estimator, Sample
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
 from uavbatt.log_replay.run import steps
@@ -246,7 +246,7 @@ def test_plain_says_what_a_pilot_asks_and_no_more(tmp_path: Path) -> None:
 def test_a_short_time_on_a_charged_pack_is_explained(remaining_s: float, is_said: bool) -> None:
     """12.5 min at 18 A are in 75 % of 5 Ah: where the forecast says a minute, the voltage is the reason."""
     flight = Flight("f.csv", "csv", tuple(Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(200)))
-    estimator = generic_estimator(STATED)
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     run = list(steps(flight, estimator))
     found, resolved = outcome(run, 13.2), estimator.pack_size
     assert found.landing is not None and resolved is not None

@@ -44,7 +44,7 @@ def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[
 @pytest.mark.parametrize(
     ("name", "reading"),
     [
-        ("voltage_offset", lambda r: r.voltage_V + 0.2 * r.time_s / r.time_s[-1]),
+        pytest.param("voltage_offset", lambda r: r.voltage_V + 0.2 * r.time_s / r.time_s[-1], marks=pytest.mark.slow),
         ("voltage_gain", lambda r: r.voltage_V * (1.0 + 0.02 * r.time_s / r.time_s[-1])),
     ],
 )

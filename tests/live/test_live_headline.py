@@ -18,7 +18,7 @@ from uavbatt.live.feeds.web import content
 from uavbatt.live.headline import Headline
 from uavbatt.live.report import Report
 from uavbatt.mavlink.outgoing import Outgoing
-from uavbatt.prediction.forecaster import NOT_FLYING
+from uavbatt.prediction.forecaster import NOT_FLYING, ForecastSettings
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.simulate.tlog_writer import battery_status, heartbeat
 
@@ -157,7 +157,7 @@ def camera(bench: Bench, seconds: float, flight_pack: Callable[[Sample], Sample 
 
 
 def two_packs() -> Bench:
-    bench = Bench(PackOptions())
+    bench = Bench(PackOptions(), settings=ForecastSettings(forecast_period_s=20.0))
     for name, mAh in ((b"BATT_CAPACITY", 5000.0), (b"BATT2_CAPACITY", 2200.0)):
         bench.send(dialect.MAVLink_param_value_message(name, mAh, 9, 2, 0))
     return bench
