@@ -13,8 +13,10 @@ from typer.testing import CliRunner
 import uavbatt
 from uavbatt.battery import battery_file
 from uavbatt.cli.app import app
+from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Sample
-from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
+from uavbatt.simulate.tlog_writer import write_tlog
 
 BETWEEN_S = 300.0
 
@@ -33,6 +35,37 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, samples in made.items():
         write_log(folder / f"{name}.tlog", samples, generic_pack())
     return {name: folder / f"{name}.tlog" for name in made}
+
+
+def write_flight(log: Path, serial: int, fade: float, epoch_s: float) -> float:
+    """Write a flight of a pack, landed at its end; return when a ground station could hear the next one [s]."""
+    pack = with_effects(generic_pack(), {"capacity_fade": fade})
+    flown = list(simulate_flight(pack, SimulatedFlight(400.0, rate_Hz=1.0, seed=int(epoch_s) % 97)))
+    last = flown[-1]
+    flown += [replace(last, time_s=last.time_s + k, current_A=0.1, voltage_V=14.0, armed=False) for k in range(1, 20)]
+    parameters = {"BATT_CAPACITY": 5000.0, "BATT_CRT_VOLT": 13.2, "BATT_SERIAL_NUM": serial}
+    write_tlog(log, flown, parameters, epoch_us=int(1e6 * epoch_s))
+    return epoch_s + flown[-1].time_s + BETWEEN_S
+
+
+def test_a_pack_is_not_taken_for_the_worn_one_before_it_in_the_log(tmp_path: Path) -> None:
+    """The flight of the first pack was remembered under the second's serial, which flew with the first's health."""
+    worn, new, both = (tmp_path / f"{name}.tlog" for name in ("worn", "new", "both"))
+    ledger, copy = tmp_path / "packs.sqlite", tmp_path / "copy.sqlite"
+    for day in range(3):
+        begin_s = write_flight(worn, 7, 0.3, 1.79e9 + 86_400.0 * day)
+        write_flight(new, 8, 0.0, begin_s)
+        if day < 2:
+            for log in (worn, new):
+                uavbatt.replay(log, packs=ledger)
+    copy.write_bytes(ledger.read_bytes())
+    alone = uavbatt.replay(new, packs=copy)
+    both.write_bytes(worn.read_bytes() + new.read_bytes())  # as a ground station records them
+    _, second = uavbatt.replay(both, packs=ledger).flights
+    for found, expected in zip(second.outcome.checkpoints, alone.outcome.checkpoints, strict=True):
+        assert found.remaining_s == pytest.approx(expected.remaining_s, abs=10.0), found.label
+    with Ledger(ledger) as remembered:
+        assert [len(remembered.flights(name)) for name in ("7", "8")] == [3, 3]
 
 
 def run(*words: object) -> str:

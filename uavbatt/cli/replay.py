@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.cli.pack_memory import PackMemory
-    from uavbatt.estimator import Estimator
     from uavbatt.log_replay.flights import ReplayedFlight
     from uavbatt.log_replay.outcome import Outcome
     from uavbatt.log_replay.run import ReplayedRow
@@ -195,7 +195,14 @@ def _one(
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.flights import ReplayedFlight, flights_of
     from uavbatt.log_replay.outcome import outcome
-    from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
+    from uavbatt.log_replay.run import (
+        estimator_for,
+        later_packs,
+        recorded_period_s,
+        size_of_replayed,
+        steps,
+        with_mission,
+    )
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load.options import stated_load
     from uavbatt.report.flight import text as flight_text
@@ -206,9 +213,10 @@ def _one(
     to_come = stated_load(options.load, flight, options.vehicle, options.battery)
     settings = ForecastSettings(to_come, options.reserve_soc, recorded_period_s(flight))
     health = memory.health_before(flight, options.battery)
+    later = later_packs(flight, lambda part: memory.health_before(part, options.battery))
     estimator = estimator_for(flight, options.battery, options.pack, settings, health)
     with ExitStack() as stack:  # no file appears if a later step fails
-        run = _written(flight, estimator, log.name, outputs, stack)
+        run = _written(steps(flight, estimator, later), flight, log.name, outputs, stack)
         size = size_of_replayed(estimator, flight)
         found = outcome(run, size.cutoff_V, options.reserve_soc)
         parts = flights_of(ReplayedFlight(flight, run, found), size.cutoff_V)
@@ -239,15 +247,16 @@ def _told(
     return [*lines(flight, size, found, run), *learned.lines], {**fields, **learned.fields}
 
 
-def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack) -> list[ReplayedRow]:
+def _written(
+    rows: Iterator[ReplayedRow], flight: Flight, name: str, outputs: Outputs, stack: ExitStack
+) -> list[ReplayedRow]:
     """Return the rows of the replay; write each line to the table files, which are complete when `stack` closes."""
     from uavbatt import output
-    from uavbatt.log_replay.run import steps
 
     sinks = [stack.enter_context(output.json_lines(outputs.jsonl))] if outputs.jsonl is not None else []
     sinks += [stack.enter_context(output.csv_table(outputs.csv, flight.has_way))] if outputs.csv is not None else []
     run = []
-    for step in _with_progress(steps(flight, estimator), len(flight.samples), name):
+    for step in _with_progress(rows, len(flight.samples), name):
         run.append(step)
         for sink in sinks:
             sink.write(output.line(step.estimate, step.remaining))

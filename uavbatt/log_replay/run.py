@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, tee
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
+from uavbatt.telemetry.discharges import of_discharges
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 OFTEN = 0.1  # share of the forecasts
@@ -64,6 +65,18 @@ def estimator_for(
     return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
 
 
+class LaterPack(NamedTuple):
+    """LaterPack holds when a later flight of the log begins [s], and the health of its pack by the ledger."""
+
+    begin_s: float
+    health: PackHealth | None
+
+
+def later_packs(flight: Flight, health_of: Callable[[Flight], PackHealth | None]) -> list[LaterPack]:
+    """Return the packs of the log's flights but the first; `health_of` returns a pack's health before a flight."""
+    return [LaterPack(part.samples[0].time_s, health_of(part)) for part in of_discharges(flight)[1:]]
+
+
 def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
     """Return cells, capacity [Ah] and cut-off [V] that a replay ran with; UsageError where no row had a voltage."""
     if estimator.pack_size is None:
@@ -82,13 +95,16 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     return replace(flight, navigation=tuple(planned.flown(known) for known in flight.navigation))
 
 
-def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
+def steps(flight: Flight, estimator: Estimator, later: Sequence[LaterPack] = ()) -> Iterator[ReplayedRow]:
     """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row.
 
-    Rows before the capacity is known are refused, as in flight. Raises UsageError if it never becomes known.
+    later : the packs of the log's later flights; each is remembered if the rows show that the pack was changed. Rows
+    before the capacity is known are refused, as in flight. Raises UsageError if it never becomes known.
     """
     why_not, is_stated = "", False
-    for facts, stretch in _stretches(flight):
+    for facts, packs, stretch in _stretches(flight, later):
+        if packs:
+            estimator.remembered_next = later[packs - 1].health
         why_not = why_no_capacity(estimator.battery, estimator.options, facts)
         is_stated = is_stated or not why_not
         samples, again = tee(stretch)
@@ -103,11 +119,18 @@ def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
         raise UsageError(why_not)
 
 
-def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
-    """Yield the rows in stretches in which the vehicle states the same facts, each with those facts."""
-    since_s = [time_s for time_s, _ in flight.facts]
-    for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
-        yield flight.facts[count - 1][1] if count else PackFacts(), rows
+def _stretches(flight: Flight, later: Sequence[LaterPack]) -> Iterator[tuple[PackFacts, int, Iterator[Sample]]]:
+    """Yield the rows in stretches of one pack in which the vehicle states the same facts.
+
+    Each comes with those facts, and with the number of later packs that have begun.
+    """
+    facts_s, packs_s = [time_s for time_s, _ in flight.facts], [pack.begin_s for pack in later]
+
+    def begun(sample: Sample) -> tuple[int, int]:
+        return bisect_right(facts_s, sample.time_s), bisect_right(packs_s, sample.time_s)
+
+    for (count, packs), rows in groupby(flight.samples, key=begun):
+        yield flight.facts[count - 1][1] if count else PackFacts(), packs, rows
 
 
 class RouteForecasts(NamedTuple):

@@ -19,7 +19,15 @@ from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.outcome import Outcome, outcome
-from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
+from uavbatt.log_replay.run import (
+    ReplayedRow,
+    estimator_for,
+    later_packs,
+    recorded_period_s,
+    size_of_replayed,
+    steps,
+    with_mission,
+)
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.remembering import check_cells, flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -183,11 +191,12 @@ def replay(
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
     health = _health_before(packs, pack, flight, content, options)
+    later = later_packs(flight, lambda part: _health_before(packs, pack, part, content, options))
     estimator = estimator_for(flight, content, options, settings, health)
-    run = list(steps(flight, estimator))
+    run = list(steps(flight, estimator, later))
     size = size_of_replayed(estimator, flight)
     if packs is not None:
-        _remember(packs, pack, flight, content, options, health)
+        _remember(packs, pack, flight, content, options)
     return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V, reserve_soc))
 
 
@@ -211,16 +220,15 @@ def _health_before(
     return health
 
 
-def _remember(
-    packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions, health: PackHealth | None
-) -> None:
-    """Save the records of the log's flights in the ledger, if their packs have names; `health` is that before them."""
+def _remember(packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions) -> None:
+    """Save the records of the log's flights in the ledger, if their packs have names, one after the other."""
     for part in of_discharges(flight):
-        name = name_of(part, pack)
-        found = flight_for_ledger(content, options, part, health, time.time()).record if name else None
-        if found is not None:
+        if name := name_of(part, pack):
             with Ledger(packs) as ledger:
-                ledger.save(name, found)
+                health = health_before(ledger, name, part, content)
+                found = flight_for_ledger(content, options, part, health, time.time()).record
+                if found is not None:
+                    ledger.save(name, found)
 
 
 def _battery_content(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:

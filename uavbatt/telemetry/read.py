@@ -77,6 +77,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
     serials, stated = log.serials.get(chosen, []), stated_serials(log.parameters, chosen)
     known = {name: value for _, name, value in log.parameters}
     discharges = later_discharges(rows, serials, stated)
+    of_first = [one for one in log.parameters if not discharges or one[0] < discharges[0][0]]  # not of a later pack
     return Flight(
         source=printable(source),
         kind=kind,
@@ -87,7 +88,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
         duration_s=log.now_s,
         skipped_bytes=log.skipped_bytes,
         notes=(*log.all_notes(), *capacity_notes(known, chosen), *discharge_notes(discharges)),
-        identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
+        identity=completed(log.identity, of_first, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
         forecast_period_s=log.forecast_period_s,
         discharges=discharges,
