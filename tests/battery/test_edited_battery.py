@@ -87,7 +87,7 @@ def test_a_fleet_says_it(tampered: Path, short_log: Path) -> None:
     from uavbatt.fleet.fly import Job, fly_log
     from uavbatt.fleet.logs import find_logs
 
-    row = fly_log(
+    (row,) = fly_log(
         find_logs([str(short_log)])[0],
         Job(battery_file.read_battery(tampered, allow_uncertified=True), PackOptions(4, 2.0)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -58,20 +59,31 @@ def test_a_pack_is_not_taken_for_the_worn_one_before_it_in_the_log(tmp_path: Pat
         if day < 2:
             for log in (worn, new):
                 uavbatt.replay(log, packs=ledger)
-    copy.write_bytes(ledger.read_bytes())
+    before = ledger.read_bytes()
+    copy.write_bytes(before)
     alone = uavbatt.replay(new, packs=copy)
     both.write_bytes(worn.read_bytes() + new.read_bytes())  # as a ground station records them
-    _, second = uavbatt.replay(both, packs=ledger).flights
+    first, second = uavbatt.replay(both, packs=ledger).flights
     for found, expected in zip(second.outcome.checkpoints, alone.outcome.checkpoints, strict=True):
         assert found.remaining_s == pytest.approx(expected.remaining_s, abs=10.0), found.label
-    with Ledger(ledger) as remembered:
-        assert [len(remembered.flights(name)) for name in ("7", "8")] == [3, 3]
+    copy.write_bytes(before)
+    run("fleet", both, "-o", tmp_path / "out", "--packs", copy, "--workers", 1)
+    errors_s = [part.outcome.checkpoints[0].error_s for part in (first, second)]
+    assert [float(row["error_half_s"]) for row in table(tmp_path / "out")] == pytest.approx(errors_s, abs=1.0)
+    for remembering in (ledger, copy):
+        with Ledger(remembering) as remembered:
+            assert [len(remembered.flights(name)) for name in ("7", "8")] == [3, 3]
 
 
 def run(*words: object) -> str:
     found = CliRunner().invoke(app, [str(word) for word in words])
     assert found.exit_code == 0, found.output
     return found.output
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "flights.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
 def test_each_flight_has_its_own_answer_page_and_summary(logs: dict[str, Path], tmp_path: Path) -> None:
@@ -116,8 +128,15 @@ def test_the_ledger_remembers_both(logs: dict[str, Path], tmp_path: Path) -> Non
     assert "2 flights" in run("packs", tmp_path / "b.sqlite")
 
 
-def test_a_fleet_says_that_only_the_first_is_judged(logs: dict[str, Path], tmp_path: Path) -> None:
+def test_a_fleet_has_a_row_for_each(logs: dict[str, Path], tmp_path: Path) -> None:
+    """Only the first was judged."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/both.tlog").write_bytes(logs["both"].read_bytes())
-    run("fleet", tmp_path / "logs", "-o", tmp_path / "out")
-    assert "2 flights in the log, the first is judged" in (tmp_path / "out/flights.csv").read_text("utf-8")
+    assert "1 log (1 done now): 2 replayed, 0 failed" in run("fleet", tmp_path / "logs", "-o", tmp_path / "out")
+    one, two = table(tmp_path / "out")
+    assert one["file"] == two["file"] and (one["flight"], two["flight"]) == ("1", "2")
+    run("replay", logs["both"], "--json", tmp_path / "both.json")
+    for row, told in zip((one, two), json.loads((tmp_path / "both.json").read_text())["flights"], strict=True):
+        for column, key in (("duration_s", "duration_s"), ("end_of_flight_s", "end_of_flight_s"), ("rows", "rows")):
+            assert float(row[column]) == pytest.approx(told[key])
+        assert float(row["error_half_s"]) == pytest.approx(told["scores"][0]["error_s"], abs=0.1)

@@ -187,8 +187,8 @@ def test_logs_behind_addresses(tmp_path: Path, log: bytes) -> None:
         ("a.tlog", len(log)), ("b.tlog", len(log)), ("zip", len(log)),
     ]  # fmt: skip
     assert all(f.read() == log for f in found)
-    assert [fly_log(f, job()).status for f in found[1:]] == ["ok", "ok"]
-    gone = fly_log(LogFile("memory://fleet/gone.tlog", 1, ""), job())
+    assert [row.status for f in found[1:] for row in fly_log(f, job())] == ["ok", "ok"]
+    (gone,) = fly_log(LogFile("memory://fleet/gone.tlog", 1, ""), job())
     assert gone.status == LOST and "a log that can be read" in gone.reason
 
 
@@ -205,18 +205,19 @@ def test_the_table_of_an_earlier_run_is_no_log(tmp_path: Path) -> None:
 def test_the_journal_survives_a_crash(tmp_path: Path) -> None:
     keys = {"k0": 0, "k1": 1, "k2": 2, "k3": 3}
     with journal.Journal(tmp_path / JOURNAL, keys, row_of) as first:
-        first.add(2, "k2", FlightRow(file="c", end_soc=0.25))
-        first.add(0, "k0", FlightRow(file="a", status=LOST, reason="its disk was away"))
-        first.add(1, "k1", FlightRow(file="b", inside_60=True))
+        first.add(2, "k2", [FlightRow(file="c", end_soc=0.25), FlightRow(file="c", flight=2)])
+        first.add(0, "k0", [FlightRow(file="a", status=LOST, reason="its disk was away")])
+        first.add(1, "k1", [FlightRow(file="b", inside_60=True)])
     path = tmp_path / JOURNAL
     path.write_bytes(path.read_bytes() + b'{"key": "k3", "fi')
     with journal.Journal(tmp_path / JOURNAL, keys, row_of) as second:
         assert [n in second for n in range(4)] == [False, True, True, False]
-        second.add(3, "k3", FlightRow(file="d"))
+        second.add(3, "k3", [FlightRow(file="d")])
     with journal.Journal(tmp_path / JOURNAL, keys, row_of) as third:
-        rows = [row for _, row in third.rows()]
-    assert [row.file for row in rows] == ["a", "b", "c", "d"]  # what was not read is told as well
-    assert rows[1].inside_60 is True and rows[2].end_soc == 0.25 and math.isnan(rows[3].end_soc)
+        rows = [row for _, of_log in third.rows() for row in of_log]
+    assert [row.file for row in rows] == ["a", "b", "c", "c", "d"]  # what was not read is told as well
+    assert rows[1].inside_60 is True and rows[2].end_soc == 0.25 and math.isnan(rows[4].end_soc)
+    assert [row.flight for row in rows] == [1, 1, 1, 2, 1]
 
 
 def test_keys_tell_what_changed() -> None:
@@ -236,10 +237,10 @@ def test_whatever_happens_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     path.write_text("time_s,voltage_V,current_A\n0,16,10\n1,15.9,10\n")
     found = find_logs([str(path)])[0]
     by_name = Job(battery_file.read_battery(GENERIC), PackOptions(capacity_Ah=5.0), aircraft_pattern=r"/(N\d+)/")
-    assert fly_log(found, by_name).aircraft == "N123"
-    assert "capacity" in fly_log(found, job()).reason  # nobody states one
+    assert [row.aircraft for row in fly_log(found, by_name)] == ["N123"]
+    assert "capacity" in fly_log(found, job())[0].reason  # nobody states one
     monkeypatch.setattr("uavbatt.fleet.fly.read_bytes", lambda *_: 1 / 0)
-    row = fly_log(found, by_name)
+    (row,) = fly_log(found, by_name)
     assert (row.status, row.reason) == ("bad", "ZeroDivisionError in uavbatt itself: division by zero")
     with pytest.raises(BadInput, match="a folder that can be written"):
         journal.Journal(path / JOURNAL, {}, row_of)

@@ -37,12 +37,14 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def changed(line: str, **values: object) -> str:
-    return json.dumps({**json.loads(line), **values})
+def changed(line: str, key: str = "", **values: object) -> str:
+    entry = json.loads(line)
+    return json.dumps({"key": key or entry["key"], "rows": [{**row, **values} for row in entry["rows"]]})
 
 
 def without(line: str, name: str) -> str:
-    return json.dumps({k: v for k, v in json.loads(line).items() if k != name})
+    entry = json.loads(line)
+    return json.dumps({**entry, "rows": [{k: v for k, v in row.items() if k != name} for row in entry["rows"]]})
 
 
 DAMAGE = {
@@ -52,6 +54,9 @@ DAMAGE = {
     "a bad date": lambda line: changed(line, start_utc="the day before"),
     "a status that is none": lambda line: changed(line, status="fine"),
     "a number that fits no table": lambda line: changed(line, rows=10**30),
+    "a number that fits no flight": lambda line: changed(line, flight=0),
+    "no row": lambda line: json.dumps({**json.loads(line), "rows": []}),
+    "rows that are none": lambda line: json.dumps({**json.loads(line), "rows": [7]}),
     "a list": lambda _: "[1, 2, 3]",
     "null": lambda _: "null",
     "nested deeply": lambda line: '{"key": ' + "[" * 100_000,

@@ -38,7 +38,7 @@ def two_batteries(tmp_path_factory: pytest.TempPathFactory) -> LogFile:
 
 
 def flown(log: LogFile, **changes: object) -> FlightRow:
-    row = fly_log(log, replace(PLAIN, **changes))  # type: ignore[arg-type]
+    (row,) = fly_log(log, replace(PLAIN, **changes))  # type: ignore[arg-type]
     assert row.status == "ok", row.reason
     return row
 
@@ -47,7 +47,7 @@ def test_the_battery_that_is_asked_for_is_flown(two_batteries: LogFile) -> None:
     first, second = flown(two_batteries), flown(two_batteries, instance=1)
     assert (first.instance, second.instance) == (0, 1)
     assert second.charge_Ah == pytest.approx(1.5 * first.charge_Ah, rel=0.03)
-    assert "no battery instance 7" in fly_log(two_batteries, replace(PLAIN, instance=7)).reason
+    assert "no battery instance 7" in fly_log(two_batteries, replace(PLAIN, instance=7))[0].reason
 
 
 def test_batteries_are_joined_as_they_are_wired(two_batteries: LogFile) -> None:

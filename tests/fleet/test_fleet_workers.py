@@ -134,14 +134,14 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
         rows = dict(crew.finished() for _ in range(2))
     killer.join(PATIENCE_S)
     os.close(held)
-    assert (rows[1].status, rows[2].status) == (LOST, "ok")
-    assert "the worker ended while it read this log" in rows[1].reason
+    assert (rows[1][0].status, rows[2][0].status) == (LOST, "ok")
+    assert "the worker ended while it read this log" in rows[1][0].reason
 
 
 def test_a_worker_that_takes_too_much_memory_is_ended(waiting: LogFile) -> None:
     with closing(Processes(1, limit_bytes=1e6)) as crew:
         crew.send(7, errand(waiting))
-        number, row = crew.finished()
+        number, (row,) = crew.finished()
     assert (number, row.status) == (7, LOST) and "more than 1 MB of memory" in row.reason
 
 

@@ -151,7 +151,7 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
     count = 0
     with _progress(what) as show:
         for one in finished:
-            count += one.row is not None
+            count += one.is_new
             if one.dropped:
                 remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are replayed again")
             show(one)
@@ -160,8 +160,8 @@ def _worked_off(finished: Iterable[FinishedLog], journal: Path, what: str) -> in
 
 def _health_before_each(
     packs: Path, crew: Crew, found: list[LogFile], job: Job, output: Path
-) -> tuple[list[RememberedPack], str]:
-    """Fill the ledger in a first pass; return the pack's health before each log, and a line for the user."""
+) -> tuple[list[list[RememberedPack]], str]:
+    """Fill the ledger in a first pass; return the packs of each log's flights, and a line for the user."""
     from uavbatt.fleet import ledger as fleet_ledger
     from uavbatt.fleet import run
     from uavbatt.fleet.logs import LESSONS
@@ -173,7 +173,7 @@ def _health_before_each(
         filled = fleet_ledger.fill(ledger, lessons)
         met = fleet_ledger.packs_met(ledger, lessons, filled, len(found), job.battery.certificate.content_sha256)
         count = len(ledger.packs())
-    for number, words in filled.left_out.items():
+    for (number, _), words in filled.left_out.items():
         remark(f"uavbatt: {found[number].name}: {words}")
     told = f"{counted(filled.saved, 'flight')} in {packs}, which remembers {counted(count, 'pack')}"
     return met, f"{told}; see `uavbatt packs {packs}`"

@@ -9,12 +9,12 @@ from typing import Any, Generic
 
 from uavbatt import __version__
 from uavbatt.errors import UavbattError, UsageError
-from uavbatt.fleet.errand import Errand, Row
+from uavbatt.fleet.errand import Errand, Rows
 
 WAIT_FOR_WORKERS_S = 30  # a worker that starts with the cluster is there by then
 
 
-class Cluster(Generic[Row]):
+class Cluster(Generic[Rows]):
     """A Cluster is a crew with as many workers as a Dask cluster has threads."""
 
     def __init__(self, client: Any) -> None:
@@ -22,16 +22,16 @@ class Cluster(Generic[Row]):
 
         self.size = max(sum(client.nthreads().values()), 1)
         self._client = client
-        self._under_way: dict[Any, tuple[int, Errand[Row]]] = {}
+        self._under_way: dict[Any, tuple[int, Errand[Rows]]] = {}
         self._coming = as_completed(loop=client.loop)
 
-    def send(self, number: int, errand: Errand[Row]) -> None:
+    def send(self, number: int, errand: Errand[Rows]) -> None:
         """Send an errand to the workers; `number` is that of its log."""
         future = self._client.submit(errand.done, pure=False, retries=1)
         self._under_way[future] = (number, errand)
         self._coming.add(future)
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, Rows]:
         """Wait for the next row that comes back, and return it with the number of its log."""
         future = next(self._coming)
         number, errand = self._under_way.pop(future)
@@ -39,10 +39,10 @@ class Cluster(Generic[Row]):
         future.release()
         return number, row
 
-    def _row(self, future: Any, errand: Errand[Row]) -> Row:
+    def _row(self, future: Any, errand: Errand[Rows]) -> Rows:
         """Return the row of a future; an errand never raises, so that an error here is one of the cluster."""
         try:
-            row: Row = future.result()
+            row: Rows = future.result()
         except Exception as error:
             if self._client.status != "running":
                 raise UavbattError("lost the cluster: run again, the rows that are done are kept") from None

@@ -1,4 +1,4 @@
-"""An errand: one log, and the work that makes a row of it, as sent to a worker."""
+"""An errand: one log, and the work that makes rows of it, as sent to a worker."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Generic, TypeVar
 
 from uavbatt.fleet.logs import LogFile
 
-Row = TypeVar("Row")
+Rows = TypeVar("Rows")
 
 
 @dataclass(frozen=True, slots=True)
-class Errand(Generic[Row]):
+class Errand(Generic[Rows]):
     """An Errand is the work on one log; both functions can be pickled.
 
-    work : returns the log's row, and never raises; lost : returns the row of a log whose worker died, with the reason
+    work : returns the log's rows, and never raises; lost : returns those of a log whose worker died, with the reason
     """
 
     log: LogFile
-    work: Callable[[LogFile], Row]
-    lost: Callable[[LogFile, str], Row]
+    work: Callable[[LogFile], Rows]
+    lost: Callable[[LogFile, str], Rows]
 
-    def done(self) -> Row:
-        """Return the row of the log."""
+    def done(self) -> Rows:
+        """Return the rows of the log."""
         return self.work(self.log)

@@ -1,12 +1,14 @@
-"""One log -> one row. An error in a log becomes the reason in its row, and never ends the run."""
+"""One log -> a row for each of its flights. An error in a log becomes the reason in its row, and never ends the run."""
 
 from __future__ import annotations
 
 import math
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import repeat
 from pathlib import PurePath
 
 import numpy as np
@@ -20,11 +22,13 @@ from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.look import doubts_of_log, reasons
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
+from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.outcome import Outcome, outcome
-from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
+from uavbatt.log_replay.run import LaterPack, ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import NAN, Flight
+from uavbatt.telemetry.discharges import of_discharges
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.quality.drawn import drawn
@@ -52,7 +56,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class RememberedPack:
-    """RememberedPack holds what the ledger knows of one log's pack: its health before, and this flight's findings."""
+    """RememberedPack holds what the ledger knows of a flight's pack: its health before, and this flight's findings."""
 
     health: PackHealth | None = None
     findings: tuple[str, ...] = ()
@@ -61,18 +65,21 @@ class RememberedPack:
 NOT_MET = RememberedPack()
 
 
-def fly_log(log: LogFile, job: Job, met: RememberedPack = NOT_MET) -> FlightRow:
-    """Return the row of one log; no content of the log makes it raise an error."""
+def fly_log(log: LogFile, job: Job, met: Sequence[RememberedPack] = ()) -> tuple[FlightRow, ...]:
+    """Return the row of each flight of a log; no content of the log makes it raise an error.
+
+    met : the pack of each flight, where a ledger knows it
+    """
     try:
         name, data = as_log(log.name, log.read())
         return _flown(read_data(name, data, job), len(data), log, job, met)
     except Unreadable as error:
-        return bad_row(log, job, _reason(error, log), LOST)
+        return (bad_row(log, job, _reason(error, log), LOST),)
     except UavbattError as error:
         reason = _reason(error, log)
     except Exception as error:  # the reason goes into the row: one log must not end the run
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
-    return bad_row(log, job, reason)
+    return (bad_row(log, job, reason),)
 
 
 def _reason(error: UavbattError, log: LogFile) -> str:
@@ -102,34 +109,52 @@ def bad_row(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def lost_row(log: LogFile, reason: str, job: Job) -> FlightRow:
+def lost_row(log: LogFile, reason: str, job: Job) -> tuple[FlightRow]:
     """Return the row of a log whose worker died, which the next run flies again."""
-    return bad_row(log, job, reason, LOST)
+    return (bad_row(log, job, reason, LOST),)
 
 
-def _flown(flight: Flight, size_bytes: int, log: LogFile, job: Job, met: RememberedPack) -> FlightRow:
-    """Return the row of a flight, whose log has `size_bytes` unpacked."""
+def _flown(
+    flight: Flight, size_bytes: int, log: LogFile, job: Job, met: Sequence[RememberedPack]
+) -> tuple[FlightRow, ...]:
+    """Return the row of each flight of a log, which has `size_bytes` unpacked."""
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
-    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, met.health)
-    run = list(steps(flight, estimator))
+    parts = of_discharges(flight)
+    packs = [*met, *repeat(NOT_MET, len(parts) - len(met))]
+    later = [LaterPack(part.samples[0].time_s, one.health) for part, one in zip(parts[1:], packs[1:], strict=True)]
+    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, packs[0].health)
+    run = list(steps(flight, estimator, later))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
-        return bad_row(log, job, "expected at least one row with a voltage")
-    ending, info = outcome(run, pack.cutoff_V, job.settings.reserve_soc), describe(flight)
+        return (bad_row(log, job, "expected at least one row with a voltage"),)
+    whole = ReplayedFlight(flight, run, outcome(run, pack.cutoff_V, job.settings.reserve_soc))
+    return tuple(
+        _row(part, pack, number, size_bytes, log, job, one.findings)
+        for number, (part, one) in enumerate(zip(flights_of(whole, pack.cutoff_V), packs, strict=True), start=1)
+    )
+
+
+def _row(
+    part: ReplayedFlight, pack: PackSize, number: int, size_bytes: int, log: LogFile, job: Job, findings: Sequence[str]
+) -> FlightRow:
+    """Return the row of a replayed flight, the one with this number in its log; `findings`: those of the ledger."""
+    flight, run, ending = part
+    info = describe(flight)
     row = replace(
-        _row(flight, run, pack, ending),
+        _figures(flight, run, pack, ending),
         file=log.name,
+        flight=number,
         aircraft=_aircraft(log, job, flight.identity.system),
         trust=info.trust,
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), ending)
     doubts = doubts_of_log(flight, size_bytes, time.time())
-    return replace(row, look="; ".join([*met.findings, *reasons(row, info.reasons), *doubts]))
+    return replace(row, look="; ".join([*findings, *reasons(row, info.reasons), *doubts]))
 
 
-def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
+def _figures(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
     """Return the row of a replayed flight, without its aircraft and scores."""
     who, last = flight.identity, run[-1].estimate
     total = drawn(flight.samples, gap_limit_s(median_step_s(flight.samples)))

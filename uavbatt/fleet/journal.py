@@ -1,4 +1,4 @@
-"""Rows on disk as they come, one JSON line a flight, so that a stopped run can go on.
+"""Rows on disk as they come, one JSON line a log with the rows of its flights, so that a stopped run can go on.
 
 A later run uses a row only if its key is the same: path, size and time of change of the log, content of battery file
 and vehicle file, all options, the pack's health, and the version of uavbatt. Rows with other keys stay in the file
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -20,7 +20,7 @@ from uavbatt import __version__
 from uavbatt.battery.battery_file import content_hash
 from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
-from uavbatt.fleet.fly import NOT_MET, Job, RememberedPack
+from uavbatt.fleet.fly import Job, RememberedPack
 from uavbatt.fleet.lesson import Lesson
 from uavbatt.fleet.logs import LogFile
 from uavbatt.fleet.row import LOST, FlightRow
@@ -28,14 +28,16 @@ from uavbatt.fleet.row import LOST, FlightRow
 Row = TypeVar("Row", FlightRow, Lesson)
 
 
-def key(log: LogFile, job_key: str, met: RememberedPack = NOT_MET) -> str:
-    """Return the key under which a finished row is kept."""
-    pack = ""
-    if met != NOT_MET:
-        health = met.health
-        numbers = [] if health is None else [*health[:2], *health.covariance.ravel(), *health[3:]]
-        pack = " ".join(f"{number:.9g}" for number in numbers) + "\0".join(met.findings)
-    return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}\0{pack}")
+def key(log: LogFile, job_key: str, met: Sequence[RememberedPack] = ()) -> str:
+    """Return the key under which the rows of a finished log are kept; `met`: the packs of its flights."""
+    packs = "\0".join(_health_key(one) for one in met)
+    return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}\0{packs}")
+
+
+def _health_key(met: RememberedPack) -> str:
+    health = met.health
+    numbers = [] if health is None else [*health[:2], *health.covariance.ravel(), *health[3:]]
+    return " ".join(f"{number:.9g}" for number in numbers) + "\0".join(met.findings)
 
 
 def job_key(job: Job) -> str:
@@ -85,19 +87,26 @@ class Journal(Generic[Row]):
     def __len__(self) -> int:
         return len(self._places) - len(self._lost)
 
-    def add(self, number: int, key: str, row: Row) -> None:
-        """Keep the row of log `number`; it is on disk when this returns."""
+    def add(self, number: int, key: str, rows: Sequence[Row]) -> None:
+        """Keep the rows of log `number`; they are on disk when this returns."""
         self._places[number] = self._file.seek(0, os.SEEK_END)
         self._lost.discard(number)
-        line = json.dumps({"key": key, **row.plain()}, allow_nan=False)  # ASCII: a file name may be no text at all
-        self._file.write(line.encode() + b"\n")
+        line = json.dumps({"key": key, "rows": [row.plain() for row in rows]}, allow_nan=False)
+        self._file.write(line.encode() + b"\n")  # ASCII: a file name may be no text at all
         self._file.flush()
 
-    def rows(self) -> Iterator[tuple[int, Row]]:
-        """Yield (number of the log, its row) of this run in the order of its logs, one at a time."""
+    def rows(self) -> Iterator[tuple[int, tuple[Row, ...]]]:
+        """Yield (number of the log, its rows) of this run in the order of its logs, one log at a time."""
         for number in sorted(self._places):
             self._file.seek(self._places[number])
-            yield number, self._row_of(json.loads(self._file.readline()))
+            yield number, self._rows_in(json.loads(self._file.readline()))
+
+    def _rows_in(self, entry: Mapping[str, Any]) -> tuple[Row, ...]:
+        """Return the rows of a line. Raises ValueError for any other."""
+        rows = entry.get("rows")
+        if not (isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows)):
+            raise ValueError("expected the rows of a log")
+        return tuple(map(self._row_of, rows))
 
     def _index(self) -> bool:
         """Find the rows of this run; return True if none is damaged. A last line that a crash cut short is removed."""
@@ -128,7 +137,7 @@ class Journal(Generic[Row]):
         if number is None:
             return -1, False  # of another run, perhaps by another version
         try:
-            return number, self._row_of(entry).status == LOST
+            return number, self._rows_in(entry)[0].status == LOST
         except ValueError:
             return None, False
 

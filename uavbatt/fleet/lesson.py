@@ -17,17 +17,17 @@ from uavbatt.nan_equal import nan_equal
 from uavbatt.packs.exchange import flight_of, plain_flight
 from uavbatt.packs.records import FlightRecord
 from uavbatt.packs.remembering import flight_for_ledger, key_of, name_of
-from uavbatt.records import NAN
+from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.discharges import of_discharges
 
 
 @nan_equal
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """A Lesson holds the record of a flight for the ledger. `status`: OK, or BAD or LOST if the log could not be read.
+    """A Lesson holds the record of a flight for the ledger. `status`: OK, or BAD or LOST if its log could not be read.
 
-    pack : the pack's serial, empty if the log has none; key : the log's key in the ledger; start_utc_s : start of the
-    log [s since 1970], NaN if no clock was set; taught : the record, None if the flight shows nothing
+    pack : the pack's serial, empty if the log has none; key : the flight's key in the ledger; start_utc_s : its
+    start [s since 1970], NaN if no clock was set; taught : the record, None if the flight shows nothing
     """
 
     file: str
@@ -67,21 +67,22 @@ def lesson_of(plain: Mapping[str, Any]) -> Lesson:
     return lesson
 
 
-def learn(log: LogFile, job: Job) -> Lesson:
-    """Return the lesson of a log; no content of the log makes it raise an error."""
+def learn(log: LogFile, job: Job) -> tuple[Lesson, ...]:
+    """Return the lesson of each flight of a log; no content of the log makes it raise an error."""
     try:
-        flight = of_discharges(read(log, job))[0]
-        name = name_of(flight)
-        now_utc_s = time.time()
-        record = flight_for_ledger(job.battery, job.options, flight, now_utc_s=now_utc_s).record if name else None
+        return tuple(_lesson(flight, log, job) for flight in of_discharges(read(log, job)))
     except Unreadable as error:
         return no_lesson(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it
-        return Lesson(file=log.name, status=BAD)
-    start_utc_s = flight.identity.start_utc_s
+        return (Lesson(file=log.name, status=BAD),)
+
+
+def _lesson(flight: Flight, log: LogFile, job: Job) -> Lesson:
+    name, start_utc_s = name_of(flight), flight.identity.start_utc_s
+    record = flight_for_ledger(job.battery, job.options, flight, now_utc_s=time.time()).record if name else None
     return Lesson(file=log.name, pack=name, key=key_of(flight.samples), start_utc_s=start_utc_s, taught=record)
 
 
-def no_lesson(log: LogFile, _: str) -> Lesson:
+def no_lesson(log: LogFile, _: str) -> tuple[Lesson]:
     """Return the lesson of a log that could not be read, or whose worker died; the log's row will say why."""
-    return Lesson(file=log.name, status=LOST)
+    return (Lesson(file=log.name, status=LOST),)

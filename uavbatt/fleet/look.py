@@ -7,7 +7,6 @@ import math
 from uavbatt.fleet.row import FlightRow
 from uavbatt.packs.dates import future_words, is_in_future
 from uavbatt.records import Flight
-from uavbatt.telemetry.discharges import of_discharges
 
 MUCH_REFUSED = 0.2  # share of the forecasts in the air
 HIGH_NIS = 3.0  # mean of the squared innovation over its variance: 1 if the model fits
@@ -48,16 +47,13 @@ def reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
 
 
 def doubts_of_log(flight: Flight, size_bytes: int, now_utc_s: float) -> list[str]:
-    """Return what is wrong with a log itself: bytes that could not be read, a date in the future, several flights.
+    """Return what is wrong with a log itself: bytes that could not be read, a date in the future.
 
     size_bytes : of the log, unpacked; now_utc_s : the time now [s since 1970]
     """
     lost, start_utc_s = flight.skipped_bytes / size_bytes, flight.identity.start_utc_s
     found = [f"{lost:.0%} of the log could not be read"] if lost > MUCH_LOST else []
-    found += [future_words(start_utc_s)] if is_in_future(start_utc_s, now_utc_s) else []
-    flights = len(of_discharges(flight))
-    found += [f"{flights} flights in the log, the first is judged: `uavbatt replay` judges each"] if flights > 1 else []
-    return found
+    return [*found, future_words(start_utc_s)] if is_in_future(start_utc_s, now_utc_s) else found
 
 
 def urgency(row: FlightRow) -> float:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Generic, NamedTuple
 
 from uavbatt.errors import UavbattError, UsageError
-from uavbatt.fleet.errand import Errand, Row
+from uavbatt.fleet.errand import Errand, Rows
 
 TRIES = 2  # a log that kills its process twice is at fault itself
 LOOK_PERIOD_S = 1.0  # how often processes are looked after; a flight takes some seconds
@@ -75,7 +75,7 @@ class Worker:
         return self._process.exitcode
 
 
-class Processes(Generic[Row]):
+class Processes(Generic[Rows]):
     """Processes is a crew of `size` workers on this machine; each may take `limit_bytes` [bytes] of memory."""
 
     def __init__(self, size: int, limit_bytes: float | None = None) -> None:
@@ -85,16 +85,16 @@ class Processes(Generic[Row]):
         self._queue: deque[Task] = deque()
         self._workers = [Worker() for _ in range(size)]
 
-    def send(self, number: int, errand: Errand[Row]) -> None:
+    def send(self, number: int, errand: Errand[Rows]) -> None:
         """Send an errand to the workers; `number` is that of its log."""
         self._queue.append(Task(number, errand))
         self._hand_out()
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, Rows]:
         """Wait for the next row that comes back, and return it with the number of its log."""
         return next(row for row in self._rows() if row is not None)
 
-    def _rows(self) -> Iterator[tuple[int, Row] | None]:
+    def _rows(self) -> Iterator[tuple[int, Rows] | None]:
         """Yield the rows of workers that have finished, died, or grown too big."""
         while True:
             if time.monotonic() >= self._look_s:
@@ -118,15 +118,15 @@ class Processes(Generic[Row]):
             if self._queue and worker.is_ready and worker.task is None:
                 worker.give(self._queue.popleft())
 
-    def _row_from(self, worker: Worker) -> tuple[int, Row] | None:
+    def _row_from(self, worker: Worker) -> tuple[int, Rows] | None:
         try:
-            row: Row | None = worker.line.recv()
+            row: Rows | None = worker.line.recv()
         except (EOFError, OSError):
             return self._replace_worker(worker, "the worker ended while it read this log, perhaps for lack of memory")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 
-    def _replace_worker(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
+    def _replace_worker(self, worker: Worker, reason: str) -> tuple[int, Rows] | None:
         """Replace a lost worker by a new one; return the row of its log if that has been tried often enough."""
         code, task = worker.end(), worker.task
         if not worker.is_ready:
@@ -137,7 +137,7 @@ class Processes(Generic[Row]):
         if task.tries + 1 < TRIES:
             self._queue.appendleft(task._replace(tries=task.tries + 1))
             return None
-        row: Row = task.errand.lost(task.errand.log, f"{reason} (exit code {code})")
+        row: Rows = task.errand.lost(task.errand.log, f"{reason} (exit code {code})")
         return task.number, row
 
 

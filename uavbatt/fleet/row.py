@@ -28,9 +28,13 @@ CHECKPOINTS = ("half", "360", "240", "120", "60")
 @nan_equal
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightRow:
-    """A FlightRow holds the result of one flight. `status`: OK, or BAD or LOST with the reason in words."""
+    """A FlightRow holds the result of one flight, the first of its log or a later one (`flight`).
+
+    `status`: OK, or BAD or LOST with the reason in words.
+    """
 
     file: str
+    flight: int = 1
     status: str = OK
     reason: str = ""
     look: str = ""
@@ -98,6 +102,8 @@ def row_of(plain: Mapping[str, Any]) -> FlightRow:
         raise ValueError(str(error)) from None
     if row.status not in (OK, BAD, LOST):
         raise ValueError(f"status `{row.status}`")
+    if row.flight < 1:
+        raise ValueError(f"flight {row.flight}")
     if row.start_utc:
         datetime.strptime(row.start_utc, START_FORMAT)
     if any(isinstance(value, int) and abs(value) > LARGEST_INT for value in values.values()):

@@ -17,9 +17,10 @@ from typing import Any, Protocol
 
 from uavbatt.errors import MissingExtra
 from uavbatt.fleet import fly, journal, lesson, tables
-from uavbatt.fleet.errand import Errand, Row
-from uavbatt.fleet.fly import NOT_MET, Job, RememberedPack
+from uavbatt.fleet.errand import Errand, Rows
+from uavbatt.fleet.fly import Job, RememberedPack
 from uavbatt.fleet.journal import Journal
+from uavbatt.fleet.ledger import LessonsOfLog
 from uavbatt.fleet.lesson import Lesson, lesson_of
 from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
 from uavbatt.fleet.processes import Processes
@@ -28,26 +29,26 @@ from uavbatt.fleet.row import LOST, FlightRow, row_of
 _UNDER_WAY_PER_WORKER = 3  # so that no worker waits for its next log, and few are lost with it
 
 
-class Workers(Protocol[Row]):
+class Workers(Protocol[Rows]):
     """Workers is the interface of a group of workers."""
 
     size: int
 
-    def send(self, number: int, errand: Errand[Row]) -> None:
+    def send(self, number: int, errand: Errand[Rows]) -> None:
         """Send an errand to the workers; `number` is that of its log."""
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, Rows]:
         """Wait for the next row that comes back, and return it with the number of its log."""
 
 
 @dataclass(frozen=True, slots=True)
 class FinishedLog:
-    """FinishedLog holds the row of one finished log, how many logs are done (with earlier runs), and of how many.
+    """FinishedLog tells how many logs are done (with earlier runs), and of how many.
 
-    dropped : damaged rows of earlier runs that were removed from the journal
+    is_new : False before the first log of this run; dropped : damaged rows of earlier runs that were removed
     """
 
-    row: FlightRow | Lesson | None
+    is_new: bool
     done: int
     total: int
     dropped: int = 0
@@ -81,14 +82,14 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Workers[An
 
 
 def learn_all(
-    crew: AbstractContextManager[Workers[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
+    crew: AbstractContextManager[Workers[tuple[Lesson, ...]]], logs: Sequence[LogFile], job: Job, folder: Path
 ) -> Iterator[FinishedLog]:
     """Work out the record of each flight for the ledger, for all logs that `folder` does not have; yield finished ones.
 
     crew and errors as in `run_fleet`; `lessons` gives what was found.
     """
 
-    def errand(number: int, _: int) -> Errand[Lesson]:
+    def errand(number: int, _: int) -> Errand[tuple[Lesson, ...]]:
         return Errand(logs[number], partial(lesson.learn, job=job), lesson.no_lesson)
 
     keys = _lesson_keys(logs, job)
@@ -97,47 +98,49 @@ def learn_all(
         store.tidy()
 
 
-def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
-    """Yield (number of the log, its lesson) of a finished first pass, without logs that could not be read."""
+def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[LessonsOfLog]:
+    """Yield (number of the log, the lessons of its flights) of a finished first pass, without unreadable logs."""
     with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as store:
-        yield from ((number, lesson) for number, lesson in store.rows() if lesson.status != LOST)
+        yield from ((number, lessons) for number, lessons in store.rows() if lessons[0].status != LOST)
 
 
 def run_fleet(
-    crew: AbstractContextManager[Workers[FlightRow]],
+    crew: AbstractContextManager[Workers[tuple[FlightRow, ...]]],
     logs: Sequence[LogFile],
     job: Job,
     folder: Path,
-    met: Sequence[RememberedPack] = (),
+    met: Sequence[Sequence[RememberedPack]] = (),
 ) -> Iterator[FinishedLog]:
-    """Replay every log without a row in `folder`, then write its tables; yield the finished logs.
+    """Replay every log without rows in `folder`, then write its tables; yield the finished logs.
 
     crew: see `connected`; not entered when there is nothing to do. The first item tells how many were done before.
-    met: the pack of each log, where a ledger knows it. Raises UavbattError when the cluster goes away: what is done
-    stays done, and the next run goes on there.
+    met: the packs of each log's flights, where a ledger knows them. Raises UavbattError when the cluster goes away:
+    what is done stays done, and the next run goes on there.
     """
 
-    def errand(number: int, each: int) -> Errand[FlightRow]:
+    def errand(number: int, each: int) -> Errand[tuple[FlightRow, ...]]:
         flight_job = replace(job, flights_each=each)
-        work = partial(fly.fly_log, job=flight_job, met=met[number] if met else NOT_MET)
+        work = partial(fly.fly_log, job=flight_job, met=met[number] if met else ())
         return Errand(logs[number], work, partial(fly.lost_row, job=flight_job))
 
     keys = _keys(logs, job, met)
     with Journal(folder / JOURNAL, _numbers(keys), row_of) as store:
         yield from _worked_off(crew, errand, keys, store)
-        tables.write_tables(folder, (row for _, row in store.rows()))
+        tables.write_tables(folder, (row for _, rows in store.rows() for row in rows))
         store.tidy()
 
 
-def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack] = ()) -> Iterator[FlightRow]:
+def rows(
+    folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[Sequence[RememberedPack]] = ()
+) -> Iterator[FlightRow]:
     """Yield the rows of a finished run, one at a time."""
     with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as store:
-        yield from (row for _, row in store.rows())
+        yield from (row for _, rows in store.rows() for row in rows)
 
 
-def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[RememberedPack]) -> list[str]:
+def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[Sequence[RememberedPack]]) -> list[str]:
     job_key = journal.job_key(job)
-    return [journal.key(log, job_key, one) for log, one in zip(logs, met or [NOT_MET] * len(logs), strict=True)]
+    return [journal.key(log, job_key, packs) for log, packs in zip(logs, met or [()] * len(logs), strict=True)]
 
 
 def _lesson_keys(logs: Sequence[LogFile], job: Job) -> list[str]:
@@ -150,28 +153,28 @@ def _numbers(keys: Sequence[str]) -> dict[str, int]:
 
 
 def _worked_off(
-    crew: AbstractContextManager[Workers[journal.Row]],
-    errand: Callable[[int, int], Errand[journal.Row]],
+    crew: AbstractContextManager[Workers[tuple[journal.Row, ...]]],
+    errand: Callable[[int, int], Errand[tuple[journal.Row, ...]]],
     keys: Sequence[str],
     store: Journal[journal.Row],
 ) -> Iterator[FinishedLog]:
-    """Send out the errands of all logs without a row in the journal, and write each row as it comes.
+    """Send out the errands of all logs without rows in the journal, and write the rows as they come.
 
     errand : makes the errand of the log with a number, for a worker that does about so many of them.
     """
-    yield FinishedLog(None, len(store), len(keys), store.dropped)
+    yield FinishedLog(False, len(store), len(keys), store.dropped)
     to_do = [number for number in range(len(keys)) if number not in store]
     if not to_do:
         return
     with crew as at_work:
-        for number, row in _sent_out(at_work, errand, to_do):
-            store.add(number, keys[number], row)
-            yield FinishedLog(row, len(store), len(keys))
+        for number, rows_of_log in _sent_out(at_work, errand, to_do):
+            store.add(number, keys[number], rows_of_log)
+            yield FinishedLog(True, len(store), len(keys))
 
 
 def _sent_out(
-    crew: Workers[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
-) -> Iterator[tuple[int, Row]]:
+    crew: Workers[Rows], errand: Callable[[int, int], Errand[Rows]], to_do: Sequence[int]
+) -> Iterator[tuple[int, Rows]]:
     """Send out the errands, and yield (number of the log, its row) as they come back."""
     each, sent = len(to_do) // crew.size, 0
     for count in range(len(to_do)):

@@ -9,6 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.fleet.row import FlightRow
 from uavbatt.output import counted
 from uavbatt.packs.dates import date_text
 from uavbatt.report.fleet.figures import errors_figure, resistance_spark, scale_figure
@@ -177,7 +178,7 @@ def _look(overview: Overview) -> list[Html]:
     if not overview.look:
         return [paragraph("None.", css="quiet")]
     rows = [
-        (PurePath(row.file).name, row.look, row.aircraft, row.start_utc[:10] or DASH, percent(row.end_soc))
+        (_name(row), row.look, row.aircraft, row.start_utc[:10] or DASH, percent(row.end_soc))
         for row in overview.look[:MOST_LISTED]
     ]
     more = overview.looked - len(overview.look)
@@ -187,6 +188,12 @@ def _look(overview: Overview) -> list[Html]:
         table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)),
         paragraph(f"Those that need it most; {more} more in flights.csv, column `look`." if more else "", css="quiet"),
     ]
+
+
+def _name(row: FlightRow) -> str:
+    """Return the name of the flight's log, with the flight's number if it is not the first of its log."""
+    name = PurePath(row.file).name
+    return f"{name}, flight {row.flight}" if row.flight > 1 else name
 
 
 def _failed(overview: Overview) -> Html:
