@@ -16,7 +16,7 @@ from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import NAN, Flight, PackFacts, Sample
+from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 
@@ -38,6 +38,18 @@ def test_in_parallel_currents_add_and_the_voltage_is_one() -> None:
     assert row.cell_voltages_V == (4.1, 4.1, 3.9, 4.1)  # of the pack with the weakest cell
     assert pack.facts_at(1.0) == replace(HALF, capacity_Ah=10.0)
     assert "batteries 0, 1 joined in parallel" in pack.notes
+
+
+def test_the_joined_pack_has_the_name_of_all_its_packs() -> None:
+    """Two packs in parallel were remembered under the serial of the first, which then held twice as much."""
+    rows = [Sample(float(t), 16.0, 10.0) for t in (0, 100)]
+    one, two = (
+        replace(battery(k, *rows), identity=Identity(battery_serial=first), discharges=((100.0 + k, later),))
+        for k, (first, later) in enumerate((("9", "7"), ("8", "")))
+    )
+    pack = joined([one, two], Wiring.PARALLEL)
+    assert pack.identity.battery_serial == joined([two, one], Wiring.PARALLEL).identity.battery_serial == "8+9"
+    assert pack.discharges == ((100.0, ""),)  # nothing tells the second of the later two
 
 
 def test_in_series_voltages_add_and_the_current_is_one() -> None:

@@ -18,6 +18,7 @@ from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.telemetry.read import Content, content_of, read_bytes
 
 PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # an older reading of another battery is not used
+CHANGED_S = 10.0  # of packs that are changed together, the first rows come within this time
 ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
 
 
@@ -73,8 +74,22 @@ def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
         samples=tuple(rows),
         facts=tuple((t, _facts([flight.facts_at(t) for flight in flights], wiring)) for t in changes),
         notes=(*lead.notes, f"batteries {named} joined in {wiring}"),
+        identity=replace(lead.identity, battery_serial=_serial(flights, -math.inf), battery_cycles=None),
+        discharges=tuple((begin_s, _serial(flights, begin_s)) for begin_s, _ in lead.discharges),
         joined=len(flights),
     )
+
+
+def _serial(flights: Sequence[Flight], time_s: float) -> str:
+    """Return the serials of the joined packs at a time [s] as one; empty if one of them is not known.
+
+    None of them names the joined pack: it holds more than each, and each may fly with another next time.
+    """
+    serials = [
+        [flight.identity.battery_serial, *(s for begin_s, s in flight.discharges if begin_s <= time_s + CHANGED_S)][-1]
+        for flight in flights
+    ]
+    return "+".join(sorted(serials)) if all(serials) else ""
 
 
 def _row(rows: Sequence[Sample], wiring: Wiring) -> Sample:

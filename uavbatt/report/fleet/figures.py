@@ -45,6 +45,8 @@ def scale_figure(group: Group, quantity: Literal["resistance", "capacity"]) -> H
             locator = untyped.AutoDateLocator(minticks=3, maxticks=6)
             axes.xaxis.set_major_locator(locator)
             axes.xaxis.set_major_formatter(untyped.ConciseDateFormatter(locator))
+        else:
+            axes.locator_params(axis="x", integer=True)
         low, high = np.min(pairs[:, 0] - 2.0 * pairs[:, 1]), np.max(pairs[:, 0] + 2.0 * pairs[:, 1])
         axes.set_ylim(min(0.8, float(low)), max(1.2, float(high)))
 
