@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from uavbatt.battery import battery_file
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.estimator import Estimator
@@ -24,10 +25,10 @@ def with_spread(pack: Pack, **changed: object) -> Pack:
     return pack._replace(spread=pack.spread._replace(**changed))
 
 
-def generic_estimator(options: PackOptions, period_s: float = 10.0) -> Estimator:
+def generic_estimator(options: PackOptions, period_s: float = 10.0, remembered: PackHealth | None = None) -> Estimator:
     """An estimator on `lipo-generic` for a stated pack, compiled where it can be; a forecast every `period_s` [s]."""
     settings = ForecastSettings(forecast_period_s=period_s)
-    return Estimator(battery_file.read_battery("lipo-generic"), options, settings, engine_for(is_long=True))
+    return Estimator(battery_file.read_battery("lipo-generic"), options, settings, engine_for(is_long=True), remembered)
 
 
 def flown(*power_W: float, each_s: float = 5.0) -> PowerHistory:

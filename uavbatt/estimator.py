@@ -93,13 +93,13 @@ class Estimator:
         remembered: PackHealth | None = None,
     ) -> None:
         self.battery, self.remembered, self.remembered_next = battery, remembered, remembered
-        self.options = of_known_cells(options or PackOptions(), remembered)
+        self.options = options or PackOptions()
         self.settings = settings or ForecastSettings()
         self._state: PackState | None = None
         load = self.settings.load
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
         self._cleaner, self._engine = Cleaner(stated_power_W=power_W), engine
-        self._known = before_any_row(battery, self.options, stated_power(load))
+        self._known = before_any_row(battery, of_known_cells(self.options, remembered), stated_power(load))
         self._in_flight = flight_window()
 
     def __repr__(self) -> str:
@@ -149,7 +149,7 @@ class Estimator:
         before, now, self._known = self._known.size, known.size, known
         if now is None or now is before:
             return
-        if now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
+        if now.cell_kind[-1] > ORDINARY_FULL_V >= known.options.fullest_cell_V:
             self.remembered = None  # its flights were read with the curve of ordinary cells
         if before is not None and now.cell_kind != before.cell_kind:
             self._state = None
@@ -239,7 +239,8 @@ class Estimator:
             swap = state.swap.after(sample, rows[k].innovation, rows[k].belief, state.filter.pack, raw.voltage_V)
             state = state._replace(swap=swap)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
-                self._known, self.remembered = self._known.anew(), self.remembered_next
+                self.remembered = self.remembered_next
+                self._known = self._known.anew(of_known_cells(self.options, self.remembered))
                 state = self._fresh_state()._replace(monitor=state.monitor.of_next_pack())
                 rows[k:] = state.filter.run(clean[k:], filter_window)
             yield self._forecast_for(state, sample, rows[k], navigation)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from daemon_bench import Bench
 from factories import generic_estimator
@@ -13,11 +15,12 @@ from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, LIHV, Pack, rested
 from scoring.scenarios import STATED, another, flight
 
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.live.config import StateSection
 from uavbatt.records import Estimate, Remaining, Sample, Status
 
-TAKEN_FOR = "taken for LiHV"
+TAKEN_FOR, LIHV_FULL_V = "taken for LiHV", 4.35
 
 
 @cache
@@ -64,6 +67,18 @@ def test_the_next_pack_may_be_of_other_cells(first: str, second: str) -> None:
     packs = {"lihv": Pack(make=LIHV), "lipo": Pack()}
     judge = generic_estimator(STATED)
     for _ in judge.run(another(packs[first], 300, 60.0, packs[second])[:-300]):
+        pass
+    assert judge.pack_size is not None
+    assert (judge.pack_size.fullest_cell_V > ORDINARY_FULL_V) is (second == "lihv")
+
+
+@pytest.mark.parametrize("second", ["lihv", "lipo"])
+def test_the_ledger_s_word_about_a_pack_is_not_for_the_next_one(second: str) -> None:
+    """Of a pack that begins charged to 4.1 V a cell, the voltage does not tell its kind: the ledger does."""
+    of_lihv = PackHealth(math.log(0.0045), math.log(FULL_AH), np.diag([0.01, 0.0004]), CELLS, LIHV_FULL_V)
+    judge = generic_estimator(STATED, remembered=of_lihv)
+    judge.remembered_next = of_lihv if second == "lihv" else None
+    for _ in judge.run(another(Pack(make=LIHV, soc=0.4), 100, 60.0, Pack(soc=0.85))[:-300]):
         pass
     assert judge.pack_size is not None
     assert (judge.pack_size.fullest_cell_V > ORDINARY_FULL_V) is (second == "lihv")

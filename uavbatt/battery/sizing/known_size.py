@@ -94,9 +94,9 @@ class KnownSize(NamedTuple):
         voltages = FirstVoltages(first.voltage_V)
         return size_of_pack(self.battery, self.options, self.facts, guessed, updated.source_of_count, voltages=voltages)
 
-    def anew(self) -> KnownSize:
+    def anew(self, options: PackOptions) -> KnownSize:
         """Return the same size for a pack that has just been changed: no row of the new one was seen yet."""
-        return self._replace(statements=Statements(), counts=(), rested_V=NAN, told=0)
+        return self._replace(options=options, statements=Statements(), counts=(), rested_V=NAN, told=0)
 
     def _with_counts(self) -> KnownSize:
         """Return what is known with the cells counted by what was seen."""
