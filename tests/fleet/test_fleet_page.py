@@ -146,6 +146,12 @@ def test_at_most_one_flight_in_five_is_to_be_looked_at_the_gravest_first() -> No
     assert len(found.look) == 4 and found.looked == 20 and found.look[0].file == made[13].file
 
 
+def test_a_few_flights_that_need_a_look_are_all_listed() -> None:
+    """Of three, one was listed."""
+    made = [replace(row, look="flew on below the cut-off voltage") for row in rows("a", 0.0, 3)]
+    assert len(gathered(made).look) == 3
+
+
 def test_a_fleet_of_failures_does_not_look_calm() -> None:
     page = fleet_report(gathered([FlightRow(file="a.BIN", status="bad", reason="no log")] * 3), "x (generic)")
     assert "None of 3 logs could be replayed" in page and 'class="answer bad"' in page and "0 need a look" not in page

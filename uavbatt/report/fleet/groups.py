@@ -27,7 +27,7 @@ ENOUGH_FLIGHTS = 4  # a line through fewer leaves too little to judge its own sc
 LEAST_CHANGE = 0.05  # of a scale: packs of one make differ by that much when new
 LEAST_SCALE, LEAST_SD = 1e-3, 1e-3  # no division by less
 STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
-LISTED_SHARE = 0.2  # largest share of flights on the list of those to look at
+LISTED_SHARE, FEWEST_LISTED = 0.2, 4  # largest share of flights on the list of those to look at; of few flights, four
 MOST_FILES = 3  # named for each reason; the table of flights holds all
 MOST_LISTED = 100  # rows of a list that a person may read; the table of flights holds all
 _FIGURE = re.compile(r"\d+(\.\d+)?")
@@ -186,7 +186,7 @@ def gathered(rows: Iterable[FlightRow]) -> Overview:
                 kind = _FIGURE.sub("…", reason)
                 overview.reasons[kind] = overview.reasons.get(kind, 0) + 1
         _score(overview, row)
-    overview.look = _most_urgent(overview.look, max(math.ceil(LISTED_SHARE * overview.flights), 1))
+    overview.look = _most_urgent(overview.look, max(math.ceil(LISTED_SHARE * overview.flights), FEWEST_LISTED))
     return overview
 
 
