@@ -103,6 +103,14 @@ def test_each_flight_has_its_own_answer_page_and_summary(logs: dict[str, Path], 
         )
 
 
+def test_the_page_of_a_second_flight_is_not_that_of_another_log(logs: dict[str, Path], tmp_path: Path) -> None:
+    for name, log in (("a", "both"), ("a-2", "second")):
+        (tmp_path / f"{name}.tlog").write_bytes(logs[log].read_bytes())
+    (tmp_path / "pages").mkdir()
+    run("replay", tmp_path / "a.tlog", tmp_path / "a-2.tlog", "--report", tmp_path / "pages")
+    assert {path.name for path in (tmp_path / "pages").iterdir()} == {"a.tlog.html", "a.tlog-2.html", "a-2.tlog.html"}
+
+
 def test_the_python_face_gives_each_flight(logs: dict[str, Path]) -> None:
     both = uavbatt.replay(logs["both"])
     one, two = both.flights

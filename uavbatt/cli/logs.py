@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,13 +56,15 @@ def check_join(instance: int | None, join: str) -> None:
 def distinct_names(logs: Sequence[Path]) -> list[str]:
     """Return a different name for each log, with the names of its folders in front if they are needed for that.
 
-    Raises UsageError if a log is named twice.
+    No name is that of another log's second flight (`a-2`). Raises UsageError if a log is named twice.
     """
     twice = next((log for k, log in enumerate(logs) if log.resolve() in {other.resolve() for other in logs[:k]}), None)
     if twice is not None:
         raise UsageError(f"{twice}: expected each log once, it is named twice")
     whole = [log.resolve() for log in logs]
-    is_alone = len({(log.parent, log.stem) for log in whole}) == len(logs)
+    stems = {log.stem for log in whole}
+    is_later = any(found and found[1] in stems for found in (re.fullmatch(r"(.+)-\d+", stem) for stem in stems))
+    is_alone = len({(log.parent, log.stem) for log in whole}) == len(logs) and not is_later
     parts = [(*log.parent.parts[1:], log.stem if is_alone else log.name) for log in whole]
     count = 1
     while len({of_one[-count:] for of_one in parts}) < len(logs):
