@@ -236,10 +236,10 @@ def test_beside_a_temperature_the_expected_innovation_is_the_greatest_lower_boun
 
 
 def test_a_warning_is_dated_by_its_last_stretch_and_by_its_first_time() -> None:
-    def warned(*spans: tuple[int, int]) -> list[str]:
-        run = [step(float(t)) for t in range(600)]
+    def warned(*spans: tuple[int, int], first_s: float = 0.0) -> list[str]:
+        run = [step(first_s + t) for t in range(600)]
         for begin, end in spans:
-            run[begin:end] = [step(float(t), warnings=("low",)) for t in range(begin, end)]
+            run[begin:end] = [step(first_s + t, warnings=("low",)) for t in range(begin, end)]
         return dated_warnings(run)
 
     assert warned((0, 600)) == ["low"]
@@ -247,3 +247,5 @@ def test_a_warning_is_dated_by_its_last_stretch_and_by_its_first_time() -> None:
     assert warned((300, 400), (405, 600)) == ["low (since 5 min 00 s)"]
     assert warned((60, 70), (300, 600)) == ["low (since 5 min 00 s, first at 1 min 00 s)"]
     assert warned((60, 70), (300, 400)) == ["low (1 min 00 s to 6 min 39 s)"]
+    assert warned((0, 600), first_s=900.0) == ["low"]  # a later flight of the log: times are those of the log
+    assert warned((60, 70), (300, 400), first_s=900.0) == ["low (16 min 00 s to 21 min 39 s)"]

@@ -11,6 +11,7 @@ import pytest
 from factories import generic_pack
 from frames import battery_row, hover, smart, write_log
 
+from uavbatt.navigation import Navigation
 from uavbatt.prediction.load.power_history import RecentLoad
 from uavbatt.prediction.load.scenarios import FlightPoint, LoggedLoad
 from uavbatt.records import NAN, Flight, Sample
@@ -130,6 +131,15 @@ def test_each_discharge_is_a_flight_of_its_own_with_its_own_pack(tmp_path: Path)
     assert (len(one.samples), two.samples[0].time_s) == (120, 600.0)
     assert [s for part in (one, two) for s in part.samples] == list(log.samples)
     assert "the pack was changed or charged before 600 s" in log.notes[-1]
+
+
+def test_a_later_flight_knows_the_mission_and_not_the_way_that_was_flown_before(tmp_path: Path) -> None:
+    """The map of the second flight showed the first one's way as well, and its changes of the mode."""
+    whole = two_flights(tmp_path)
+    (begin_s, _), *_ = whole.discharges
+    known = tuple(Navigation(time_s=begin_s + shift_s) for shift_s in (-90.0, -50.0, 0.5, 30.0))
+    first, second = of_discharges(replace(whole, navigation=known))
+    assert first.navigation == known[:2] and second.navigation == known[1:]
 
 
 def test_who_the_second_pack_is_is_not_known_if_only_the_first_said_so(tmp_path: Path) -> None:

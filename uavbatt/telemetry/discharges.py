@@ -11,6 +11,7 @@ In flight the model of the battery tells the same sooner (`estimation.pack_chang
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -103,12 +104,14 @@ def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Fligh
     if begin_s > -np.inf:  # what was said of the first pack and its start does not hold
         start_utc_s = who.start_utc_s + began_s
         who = replace(who, battery_serial=serial, battery_cycles=None, start_utc_s=start_utc_s)
+    begun = bisect_right(flight.navigation, begin_s, key=lambda known: known.time_s)
+    navigation = flight.navigation[max(begun - 1, 0) :]  # what is known at the beginning, and nothing flown before
     return replace(
         flight,
         samples=samples,
         discharges=(),
         facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s < end_s),
-        navigation=tuple(known for known in flight.navigation if known.time_s < end_s),
+        navigation=tuple(known for known in navigation if known.time_s < end_s),
         duration_s=samples[-1].time_s - began_s if samples else 0.0,
         identity=who,
     )

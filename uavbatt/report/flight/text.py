@@ -74,12 +74,12 @@ def dated_warnings(run: list[ReplayedRow]) -> list[str]:
 
 
 def _when(stood: WarningSpan, first_s: float, last_s: float) -> str:
-    """Return in words when a warning held, in times since the log's first row; first_s and last_s : of its rows [s]."""
-    since = duration(stood.since_s - first_s)
+    """Return in words when a warning held, in times since the log's start; first_s and last_s : of its rows [s]."""
+    since = duration(stood.since_s)
     if last_s - stood.until_s > JUST_S:
-        return f" ({since} to {duration(stood.until_s - first_s)})"
+        return f" ({since} to {duration(stood.until_s)})"
     if stood.again_s - stood.since_s > JUST_S:
-        return f" (since {duration(stood.again_s - first_s)}, first at {since})"
+        return f" (since {duration(stood.again_s)}, first at {since})"
     return f" (since {since})" if stood.since_s - first_s > JUST_S else ""
 
 
