@@ -19,6 +19,7 @@ from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.columns import rows_of
 from uavbatt.telemetry.discharges import begins_s, of_discharges
+from uavbatt.telemetry.quality.info import describe
 
 FIRST_S = 300.0
 
@@ -140,6 +141,13 @@ def test_a_later_flight_knows_the_mission_and_not_the_way_that_was_flown_before(
     known = tuple(Navigation(time_s=begin_s + shift_s) for shift_s in (-90.0, -50.0, 0.5, 30.0))
     first, second = of_discharges(replace(whole, navigation=known))
     assert first.navigation == known[:2] and second.navigation == known[1:]
+
+
+def test_the_silence_of_a_change_is_no_gap_of_the_log(tmp_path: Path) -> None:
+    log = two_flights(tmp_path)
+    assert not [reason for reason in describe(log).reasons if "over 10 s" in reason]
+    holed = replace(log, samples=tuple(s for s in log.samples if not 60.0 < s.time_s < 90.0))
+    assert "1 gap over 10 s, the longest 30 s at 60 s" in describe(holed).reasons
 
 
 def test_who_the_second_pack_is_is_not_known_if_only_the_first_said_so(tmp_path: Path) -> None:

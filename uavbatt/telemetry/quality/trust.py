@@ -19,6 +19,7 @@ from uavbatt.limits import (
     ending_doubt,
     told_cells,
 )
+from uavbatt.output import counted
 from uavbatt.records import Flight, PackFacts
 from uavbatt.telemetry.quality.drawn import DrawnCharge
 
@@ -69,10 +70,10 @@ def _rows(found: LogFigures) -> Iterator[Finding]:
     if found.step_s > _MAX_STEP_S:
         slip = " (milliseconds?)" if found.step_s >= LONGEST_ROW_S else ""
         yield _NO, f"too slow: a row every {found.step_s:.0f} s{slip}"
-    long_gaps = [(start_s, length_s) for start_s, length_s in found.gaps if length_s > _LONG_GAP_S]
+    long_gaps = [gap for gap in found.gaps if gap[1] > _LONG_GAP_S and not _is_change(*gap, found.flight)]
     if long_gaps:
         start_s, length_s = max(long_gaps, key=lambda gap: gap[1])
-        yield _CARE, f"{len(long_gaps)} gaps over 10 s, the longest {length_s:.0f} s at {start_s:.0f} s"
+        yield _CARE, f"{counted(len(long_gaps), 'gap')} over 10 s, the longest {length_s:.0f} s at {start_s:.0f} s"
     if found.flight.skipped_bytes:
         # the tail of a log is often cut inside its last record, which harms nothing
         severity = _CARE if found.flight.skipped_bytes > _CUT_RECORD_BYTES else _YES
@@ -80,6 +81,11 @@ def _rows(found: LogFigures) -> Iterator[Finding]:
     for note in found.flight.notes:
         if note.startswith(_GRAVE_NOTES) or _DEFAULT_CAPACITY in note:
             yield _CARE, note
+
+
+def _is_change(start_s: float, length_s: float, flight: Flight) -> bool:
+    """Return True for a silence in which the pack was changed or charged: nothing of a flight is missing."""
+    return any(0.0 < begin_s - start_s <= length_s for begin_s, _ in flight.discharges)
 
 
 def _current(found: LogFigures) -> Iterator[Finding]:
