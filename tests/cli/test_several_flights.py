@@ -136,6 +136,16 @@ def test_the_ledger_remembers_both(logs: dict[str, Path], tmp_path: Path) -> Non
     assert "2 flights" in run("packs", tmp_path / "b.sqlite")
 
 
+def test_a_fleet_tells_which_forecasts_missed(logs: dict[str, Path], tmp_path: Path) -> None:
+    """Under twice the load that is stated, a pack ends long before it was expected to."""
+    run("fleet", logs["first"], "-o", tmp_path / "out", "--load", 300)
+    (row,) = table(tmp_path / "out")
+    scores = uavbatt.replay(logs["first"], load=300.0).outcome.checkpoints
+    inside = {column: row[f"inside_{column}"] for column in ("half", "240", "120", "60")}
+    assert list(inside.values()) == [str(score.inside).lower() for score in scores]
+    assert set(inside.values()) == {"true", "false"}
+
+
 def test_a_fleet_has_a_row_for_each(logs: dict[str, Path], tmp_path: Path) -> None:
     """Only the first was judged."""
     (tmp_path / "logs").mkdir()
