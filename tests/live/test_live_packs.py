@@ -19,7 +19,7 @@ from uavbatt.live.memory.pack_keeper import PackKeeper
 from uavbatt.live.tracked_battery import TrackedBattery
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger, prior
-from uavbatt.records import PackFacts, Sample
+from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.simulate.tlog_writer import battery_status
 
 FLOWN = 120  # rows before the crash
@@ -140,6 +140,30 @@ def test_a_pack_that_has_not_flown_begins_with_what_is_remembered(health: PackHe
     battery = tracked(flight()[:20])
     battery.remember("A", health)
     assert battery.estimator.remembered is health and battery.estimator.belief is None
+
+
+def test_a_pack_of_another_name_begins_anew_though_the_ledger_knows_neither() -> None:
+    battery = tracked(flight()[:FLOWN])
+    battery.remember("A", None)
+    assert battery.estimator.belief is not None
+    battery.remember("B", None)
+    assert battery.estimator.belief is None
+
+
+@pytest.mark.parametrize("next_one", [b"B7", b"B8"])
+def test_another_serial_on_the_ground_is_another_pack_without_a_ledger(next_one: bytes) -> None:
+    """It is charged as the first one was when it landed, and nothing counts the charge: only its serial tells."""
+    bench = Bench(OPTIONS, settings=SELDOM)
+    bench.send(smart_battery(b"B7"))
+    rows = [replace(sample, consumed_Ah=NAN) for sample in flight()[:FLOWN]]
+    bench.play([*(replace(sample, armed=False) for sample in rows[:10]), *rows[10:]])
+    flown = bench.daemon.board.reports[0].estimate
+    rest = [replace(rows[-1], time_s=float(k), voltage_V=16.6, current_A=0.1, armed=False) for k in range(20)]
+    bench.now_s += 30.0
+    bench.send(smart_battery(next_one))
+    bench.play(rest)
+    landed = bench.daemon.board.reports[0].estimate
+    assert (landed.resistance_scale_sd > 1.5 * flown.resistance_scale_sd) is (next_one == b"B8")
 
 
 def test_another_pack_begins_without_what_is_remembered_of_the_last(health: PackHealth) -> None:

@@ -94,8 +94,8 @@ class Batteries:
         now_s : on the monotonic clock [s]
         """
         tracked = self._battery_of(row.instance, now_s)
-        if self._keeper is not None and self._reader.following.awaited is None:  # else these are another crew's packs
-            self._remember(self._keeper, row, vehicle, now_s)
+        if self._reader.following.awaited is None:  # else these are another crew's packs
+            self._meet_pack(row, vehicle, now_s)
         estimate, remaining = self._estimate(tracked, row, vehicle, now_s)
         self._log_pack(row.instance, tracked, remaining)
         report = self._report(tracked, row, vehicle, now_s, estimate, remaining)
@@ -240,11 +240,16 @@ class Batteries:
         clock = self._clocks(now_s)
         return clock.wall_s if clock.is_clock_set else math.nan
 
-    def _remember(self, keeper: PackKeeper, row: LiveRow, vehicle: Vehicle, now_s: float) -> None:
-        """Give the estimate the pack's health from the ledger while on the ground, and the ledger the row."""
-        tracked, said = self.tracked[row.instance], vehicle.pack(row.instance)
+    def _meet_pack(self, row: LiveRow, vehicle: Vehicle, now_s: float) -> None:
+        """Tell the estimate on the ground which pack this is; with a ledger also its health, and the ledger the row."""
+        tracked, said, keeper = self.tracked[row.instance], vehicle.pack(row.instance), self._keeper
+        is_open = tracked.is_open_to_memory(row.sample.armed)
+        if keeper is None:
+            if said.serial and is_open:
+                tracked.remember(said.serial, None)
+            return
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
-        if known is not None and known.done() and tracked.is_open_to_memory(row.sample.armed):
+        if known is not None and known.done() and is_open:
             tracked.remember(self._config.packs.name or said.serial, known.result())
         resolved = tracked.estimator.pack_size
         if resolved is not None:

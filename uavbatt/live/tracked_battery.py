@@ -68,16 +68,16 @@ class TrackedBattery:
         return armed is False or (armed is None and self._saved is None and not self.resumed.startswith(RESUMED))
 
     def remember(self, name: str, health: PackHealth | None) -> None:
-        """Take in the health of a pack from the ledger, with the pack's name.
+        """Take in the name of the pack, and its health from the ledger; None for a pack that it does not know.
 
         The estimate begins anew with it for another pack, and for a pack that has not flown. A pack that has flown
         keeps its estimate, which knows its charge better: the health is used once the voltage shows a change of the
         pack.
         """
         is_another = self._pack not in ("", name)
-        is_news = health is not self._remembered and (health is not None or is_another)
+        is_news = health is not None and health is not self._remembered
         self._pack = name
-        if not is_news:
+        if not (is_another or is_news):
             return
         self._remembered = health
         if self._has_flown and not is_another:
