@@ -86,6 +86,8 @@ class LiveReader:
         self._unmet: dict[tuple[int, int], tuple[fields.PackIdentity, bytes]] = {}  # packs of systems not heard yet
         self._resumed: Mapping[str, float] = {}
         self.planned: PlannedFlight | None = None
+        self._known: Navigation | None = None  # of the route, by the link alone
+        self._flown = NOWHERE  # the same with the planned mission
         self.following = VehicleChoice()
         self._now_s = -math.inf
 
@@ -105,7 +107,11 @@ class LiveReader:
         """Return route and place of the vehicle; a mission from a file has priority over one heard on the link."""
         vehicle = self.followed
         known = vehicle.route.now if vehicle is not None else NOWHERE
-        return known if self.planned is None else self.planned.flown(known)
+        if self.planned is None:
+            return known
+        if self._known is not known:
+            self._known, self._flown = known, self.planned.flown(known)
+        return self._flown
 
     @property
     def parameters(self) -> Mapping[str, float]:
