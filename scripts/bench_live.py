@@ -48,7 +48,8 @@ class Vehicle(threading.Thread):
 
     ATTITUDE fills up to `rate` messages a second.
 
-    With `is_on_route` it tells five times a second where it is on the mission of `bench.missions`; it states RETURN.
+    With `is_on_route` it tells five times a second where it is on the mission of `bench.missions`.
+    With `states_return` as well it states once a second the speeds and the height of its return (RETURN).
     """
 
     def __init__(self, rate: float, is_on_route: bool = False, states_return: bool = True) -> None:

@@ -195,17 +195,11 @@ def _one(
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.flights import ReplayedFlight, flights_of
     from uavbatt.log_replay.outcome import outcome
-    from uavbatt.log_replay.run import (
-        estimator_for,
-        later_packs,
-        recorded_period_s,
-        size_of_replayed,
-        steps,
-        with_mission,
-    )
+    from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load.options import stated_load
     from uavbatt.report.flight import text as flight_text
+    from uavbatt.telemetry.discharges import of_discharges
 
     flight = asked_flight(log, options.instance, options.join, options.system)
     if options.mission is not None:
@@ -213,7 +207,7 @@ def _one(
     to_come = stated_load(options.load, flight, options.vehicle, options.battery)
     settings = ForecastSettings(to_come, options.reserve_soc, recorded_period_s(flight))
     health = memory.health_before(flight, options.battery)
-    later = later_packs(flight, lambda part: memory.health_before(part, options.battery))
+    later = [memory.health_before(part, options.battery) for part in of_discharges(flight)[1:]]
     estimator = estimator_for(flight, options.battery, options.pack, settings, health)
     with ExitStack() as stack:  # no file appears if a later step fails
         run = _written(steps(flight, estimator, later), flight, log.name, outputs, stack)

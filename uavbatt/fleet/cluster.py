@@ -40,7 +40,7 @@ class Cluster(Generic[Rows]):
         return number, row
 
     def _row(self, future: Any, errand: Errand[Rows]) -> Rows:
-        """Return the row of a future; an errand never raises, so that an error here is one of the cluster."""
+        """Return the rows of a future; an errand never raises, so that an error here is one of the cluster."""
         try:
             row: Rows = future.result()
         except Exception as error:

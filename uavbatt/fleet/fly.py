@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import repeat
 from pathlib import PurePath
 
 import numpy as np
@@ -24,11 +23,10 @@ from uavbatt.fleet.look import doubts_of_log, reasons
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.outcome import Outcome, outcome
-from uavbatt.log_replay.run import LaterPack, ReplayedRow, engine_for, steps
+from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.telemetry.discharges import of_discharges
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.quality.drawn import drawn
@@ -120,18 +118,18 @@ def _flown(
     """Return the row of each flight of a log, which has `size_bytes` unpacked."""
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
-    parts = of_discharges(flight)
-    packs = [*met, *repeat(NOT_MET, len(parts) - len(met))]
-    later = [LaterPack(part.samples[0].time_s, one.health) for part, one in zip(parts[1:], packs[1:], strict=True)]
+    packs = tuple(met) or (NOT_MET,)
     estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, packs[0].health)
-    run = list(steps(flight, estimator, later))
+    run = list(steps(flight, estimator, [one.health for one in packs[1:]]))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return (bad_row(log, job, "expected at least one row with a voltage"),)
     whole = ReplayedFlight(flight, run, outcome(run, pack.cutoff_V, job.settings.reserve_soc))
+    flights = flights_of(whole, pack.cutoff_V)
+    packs += (NOT_MET,) * (len(flights) - len(packs))  # no ledger knows these
     return tuple(
         _row(part, pack, number, size_bytes, log, job, one.findings)
-        for number, (part, one) in enumerate(zip(flights_of(whole, pack.cutoff_V), packs, strict=True), start=1)
+        for number, (part, one) in enumerate(zip(flights, packs, strict=True), start=1)
     )
 
 

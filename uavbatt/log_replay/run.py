@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, tee
 from typing import NamedTuple
@@ -65,18 +65,6 @@ def estimator_for(
     return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
 
 
-class LaterPack(NamedTuple):
-    """LaterPack holds when a later flight of the log begins [s], and the health of its pack by the ledger."""
-
-    begin_s: float
-    health: PackHealth | None
-
-
-def later_packs(flight: Flight, health_of: Callable[[Flight], PackHealth | None]) -> list[LaterPack]:
-    """Return the packs of the log's flights but the first; `health_of` returns a pack's health before a flight."""
-    return [LaterPack(part.samples[0].time_s, health_of(part)) for part in of_discharges(flight)[1:]]
-
-
 def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
     """Return cells, capacity [Ah] and cut-off [V] that a replay ran with; UsageError where no row had a voltage."""
     if estimator.pack_size is None:
@@ -95,16 +83,18 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     return replace(flight, navigation=tuple(planned.flown(known) for known in flight.navigation))
 
 
-def steps(flight: Flight, estimator: Estimator, later: Sequence[LaterPack] = ()) -> Iterator[ReplayedRow]:
+def steps(flight: Flight, estimator: Estimator, later: Sequence[PackHealth | None] = ()) -> Iterator[ReplayedRow]:
     """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row.
 
-    later : the packs of the log's later flights; each is remembered if the rows show that the pack was changed. Rows
-    before the capacity is known are refused, as in flight. Raises UsageError if it never becomes known.
+    later : health, by the ledger, of the packs of the log's flights but the first (`of_discharges`); each is used if
+    the rows show that the pack was changed. Rows before the capacity is known are refused, as in flight. Raises
+    UsageError if it never becomes known.
     """
     why_not, is_stated = "", False
-    for facts, packs, stretch in _stretches(flight, later):
+    begins_s = [part.samples[0].time_s for part in of_discharges(flight)[1:]] if later else []
+    for facts, packs, stretch in _stretches(flight, begins_s):
         if packs:
-            estimator.remembered_next = later[packs - 1].health
+            estimator.remembered_next = later[packs - 1]
         why_not = why_no_capacity(estimator.battery, estimator.options, facts)
         is_stated = is_stated or not why_not
         samples, again = tee(stretch)
@@ -119,15 +109,15 @@ def steps(flight: Flight, estimator: Estimator, later: Sequence[LaterPack] = ())
         raise UsageError(why_not)
 
 
-def _stretches(flight: Flight, later: Sequence[LaterPack]) -> Iterator[tuple[PackFacts, int, Iterator[Sample]]]:
+def _stretches(flight: Flight, begins_s: Sequence[float]) -> Iterator[tuple[PackFacts, int, Iterator[Sample]]]:
     """Yield the rows in stretches of one pack in which the vehicle states the same facts.
 
-    Each comes with those facts, and with the number of later packs that have begun.
+    begins_s : of the log's later flights [s]. Each stretch comes with its facts, and with how many of them have begun.
     """
-    facts_s, packs_s = [time_s for time_s, _ in flight.facts], [pack.begin_s for pack in later]
+    facts_s = [time_s for time_s, _ in flight.facts]
 
     def begun(sample: Sample) -> tuple[int, int]:
-        return bisect_right(facts_s, sample.time_s), bisect_right(packs_s, sample.time_s)
+        return bisect_right(facts_s, sample.time_s), bisect_right(begins_s, sample.time_s)
 
     for (count, packs), rows in groupby(flight.samples, key=begun):
         yield flight.facts[count - 1][1] if count else PackFacts(), packs, rows

@@ -19,15 +19,7 @@ from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.outcome import Outcome, outcome
-from uavbatt.log_replay.run import (
-    ReplayedRow,
-    estimator_for,
-    later_packs,
-    recorded_period_s,
-    size_of_replayed,
-    steps,
-    with_mission,
-)
+from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.remembering import check_cells, flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -191,7 +183,7 @@ def replay(
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
     health = _health_before(packs, pack, flight, content, options)
-    later = later_packs(flight, lambda part: _health_before(packs, pack, part, content, options))
+    later = [_health_before(packs, pack, part, content, options) for part in of_discharges(flight)[1:]]
     estimator = estimator_for(flight, content, options, settings, health)
     run = list(steps(flight, estimator, later))
     size = size_of_replayed(estimator, flight)
