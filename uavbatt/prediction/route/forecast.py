@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from uavbatt.prediction.route.progress import Progress
 from uavbatt.prediction.route.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.prediction.route.way_home import return_assumed
 from uavbatt.prediction.simulation import sampling
-from uavbatt.prediction.simulation.draws import Flying, start_draws
+from uavbatt.prediction.simulation.draws import Flying
 from uavbatt.prediction.simulation.long_steps import charge_at, edges_through, fly_draws
 from uavbatt.records import IN_TIME, Route
 
@@ -61,7 +61,7 @@ class RouteQuestion(NamedTuple):
     reason: str
     route_s: Array | None  # touchdown of each draw
     route_soc: Array | None
-    turnings: tuple[Turning, ...]  # one for each way home that is possible; none if it is not known
+    turning: Turning | None  # None if the way home is not known
     is_returning: bool = False
     assumed: str = ""
 
@@ -142,10 +142,10 @@ def fly_ways(
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws are simulated once, through all instants of turning, up to the last touchdown. `home` is the way home from
-    here; None if it is not known. `scenario` is which scenario of the load each draw flies [draws]. Of several possible
-    ways home each is flown by as many draws.
+    here; None if it is not known. `scenario` is which scenario of the load each draw flies [draws]. The draws fly the
+    possible ways home in turn.
     """
-    asked = RouteQuestion(known.name, _reason(known), None, None, (), known.is_returning, known.assumed)
+    asked = RouteQuestion(known.name, _reason(known), None, None, None, known.is_returning, known.assumed)
     scenario = scenario % SCENARIOS  # another load has other scenarios: the numbers only spread the draws
     turn_at_s, last_s = np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
@@ -164,24 +164,10 @@ def fly_ways(
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if home is not None:
         at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
-        every, least_soc = slice(None), sampling.least_soc(flying)
-        whole = Turning(at_turn, every, turn_at_s, flown, home, scenario, way, homes_from[0], least_soc)
-        asked = asked._replace(turnings=tuple(_each_way(whole, flying, homes_from)))
+        least_soc = sampling.least_soc(flying)
+        turning = Turning(at_turn, turn_at_s, flown, home, scenario, way, homes_from, least_soc)
+        asked = asked._replace(turning=turning)
     return asked
-
-
-def _each_way(whole: Turning, flying: Flying, homes_from: Sequence[HomeFrom]) -> Iterator[Turning]:
-    """Yield the draws that fly each of the ways home, which are equally likely: every n-th draw of n ways."""
-    for number, home_from in enumerate(homes_from):
-        which = slice(number, None, len(homes_from))
-        begun = start_draws(flying._replace(x=flying.x[:, which])).going_on(whole.at_turn, which)
-        yield whole._replace(
-            at_turn=begun,
-            which=which,
-            scenario=whole.scenario[which],
-            home_from=home_from,
-            least_soc=whole.least_soc[which],
-        )
 
 
 def _reason(known: ToCome) -> str:
@@ -199,15 +185,13 @@ def route_answer(asked: RouteQuestion, end_s: Array) -> Route:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
         risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))
         said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
-    if not asked.turnings:
+    if asked.turning is None:
         return said
     is_in_time = said.risk <= IN_TIME  # then the later instants, most of the work, are not needed
-    turns = [fly_home(turning.now if is_in_time else turning) for turning in asked.turnings]
-    home_soc_lo, home_soc = map(float, np.quantile(np.concatenate([turn.home_soc for turn in turns]), (0.05, 0.5)))
+    turn = fly_home(asked.turning.now if is_in_time else asked.turning)
+    home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
     if is_in_time:
         return replace(said, reason=said.reason or "the route comes home in time")
-    ways = zip(asked.turnings, turns, strict=True)
-    times_s = np.concatenate([turn_back_times(turn, end_s[turning.which]) for turning, turn in ways])
-    lo_s, middle_s, hi_s = map(float, np.quantile(times_s, (0.05, 0.5, 0.95)))
+    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_times(turn, end_s), (0.05, 0.5, 0.95)))
     return replace(said, turn_back_s=middle_s, turn_back_lo_s=lo_s, turn_back_hi_s=hi_s)

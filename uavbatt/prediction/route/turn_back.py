@@ -9,6 +9,7 @@ is the last t before its end at which that distance is not negative.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -42,20 +43,18 @@ ROUGH = 1.0  # sds that the highest mean over 5 s, which is judged, lies above t
 class Turning(NamedTuple):
     """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
 
-    which : these draws among those of the forecast
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
-    home_from : the legs home from any place
+    homes_from : the legs home from any place, of each possible way home; the draws fly them in turn
     least_soc : the charge [draws] at which a flight ends, as it does at the cut-off
     """
 
     at_turn: Draws
-    which: slice
     turn_at_s: Array
     flown: Ahead
     load: RouteLoad
     scenario: Array
     way: LegTiming
-    home_from: HomeFrom
+    homes_from: Sequence[HomeFrom]
     least_soc: Array
 
     @property
@@ -75,21 +74,27 @@ class TurnBack(NamedTuple):
 class Homewards(NamedTuple):
     """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight.
 
+    A way that is over repeats its last step with a length of 0 and no roughness, so that nothing changes any more.
+
     slopes, bends : change of the logarithm of the power with the airspeed [per m/s] and with its square
     """
 
-    length_s: Array  # [steps, turns]
+    length_s: Array  # [steps, turns, ways]
     power_W: Array
     fast_shares: Array
     slopes: Array
     bends: Array
     rough: Array  # relative sd of the power within the step
 
-    def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
-        """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
+    def at(self, k: int, turns: Column) -> Homewards:
+        """Return step `k` of the ways home after these turns, for each draw: [turns, draws]."""
+        ways = np.arange(sampling.DRAWS) % self.length_s.shape[2]
+        return Homewards(*(column[k][turns[:, None], ways] for column in self))
+
+    def drawn_W(self, scenarios: Array) -> Array:
+        """Return the power that each draw flies with; `scenarios` as in `_fly_home`."""
         levels, fast, _, wind_ms = scenarios
-        columns = (self.power_W, self.fast_shares, self.slopes, self.bends)
-        power_W, fast_share, slope, bend = (column[k, turns][:, None] for column in columns)
+        _, power_W, fast_share, slope, bend, _ = self
         return np.asarray(power_W * levels * fast**fast_share * np.exp((slope + bend * wind_ms) * wind_ms))
 
 
@@ -100,7 +105,7 @@ def turn_instants(longest_s: float) -> Array:
 
 def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
-    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.home_from)
+    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.homes_from)
     scenarios = np.vstack([factors(asked.load), wind_errors_ms(asked.way.wind_sd_ms)])[:, asked.scenario]
     return _fly_home(asked, home, scenarios)
 
@@ -111,8 +116,8 @@ def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
     scenarios : factors of level, fast flight and time, and the error of the wind [m/s], of each draw [4, draws]
     """
     at_turn, turn_at_s, stretch = asked.at_turn, asked.turn_at_s, scenarios[2]
-    steps = np.count_nonzero(home.length_s > 0.0, axis=0)
-    normals = sampling.wander_home(int(steps.max()))[:, asked.which]
+    steps = np.count_nonzero(home.length_s > 0.0, axis=0).max(axis=1)
+    normals = sampling.wander_home(int(steps.max()))
     least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.zeros(at_turn.bias_V.shape)
     flying = np.arange(turn_at_s.size)  # the turns whose ways are not over; their lengths differ
     for k in range(int(steps.max()) + 1):
@@ -122,18 +127,17 @@ def _fly_home(asked: Turning, home: Homewards, scenarios: Array) -> TurnBack:
         is_down = steps[flying] <= k
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
-            power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
+            power_W = home.at(max(k - 1, 0), down).drawn_W(scenarios)
             least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, asked.least_soc))
             soc[down] = landed.state.soc
             flying, at_turn = flying[~is_down], at_turn.of(~is_down)
         if not flying.size:
             break
-        at, rough = source_of(at_turn), home.rough[k, flying][:, None]
-        power_W = home.drawn_W(k, flying, scenarios)
-        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), asked.least_soc)
+        at, now = source_of(at_turn), home.at(k, flying)
+        power_W = now.drawn_W(scenarios)
+        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * now.rough), asked.least_soc)
         least_V[flying] = np.minimum(least_V[flying], above_V)
-        length_s = home.length_s[k, flying][:, None] * stretch
-        at_turn = step_draws(at_turn, at, power_W, length_s, normals[k % len(normals)])
+        at_turn = step_draws(at_turn, at, power_W, now.length_s * stretch, normals[k % len(normals)])
     return TurnBack(turn_at_s, least_V, np.maximum(soc[0], 0.0))
 
 
@@ -153,33 +157,36 @@ def _above_V(draws: Draws, at: Source, power_W: Array, least_soc: Array) -> Arra
     return np.asarray(np.minimum(above_cutoff_V(draws, at, power_W), above_least_V))
 
 
-def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, home_from: HomeFrom) -> Homewards:
-    """Return the ways home from where the aircraft is at each instant."""
-    legs = [home_from(point) for point in flown.points(turn_at_s)]
+def _homewards(
+    flown: Ahead, turn_at_s: Array, load: RouteLoad, way: LegTiming, homes_from: Sequence[HomeFrom]
+) -> Homewards:
+    """Return all ways home from where the aircraft is at each instant."""
+    legs = [home_from(point) for point in flown.points(turn_at_s) for home_from in homes_from]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
-    turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
+    way_of = np.repeat(np.arange(len(legs)), [len(those) for those in legs])[leg_of]
     if not pieces.length_s.size:  # already down at home
-        pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
-    pieces, turn_of = _in_steps(pieces, turn_of)
+        pieces, way_of = waiting(flown.begin, 0.0), np.zeros(1, int)
+    pieces, way_of = _in_steps(pieces, way_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
     slopes = airspeed_slopes(there)
     bends = airspeed_bends(there, slopes, way.wind_sd_ms)
     rough = roughness(there, slopes, math.hypot(*way.wind))
     told = np.stack([pieces.length_s, there.piece_W, fast_shares(there), slopes, bends, rough])
-    counts = np.bincount(turn_of, minlength=turn_at_s.size)
+    counts = np.bincount(way_of, minlength=len(legs))
     ends = np.cumsum(counts)
     step = np.arange(np.max(counts))[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
-    length_s, *others = told[:, index]  # a way that is over repeats its last step with a length of 0
-    return Homewards(np.where(is_flown, length_s, 0.0), *others)
+    length_s, *others, rough = told[:, index]
+    columns = (np.where(is_flown, length_s, 0.0), *others, np.where(is_flown, rough, 0.0))
+    return Homewards(*(column.reshape(step.size, turn_at_s.size, len(homes_from)) for column in columns))
 
 
-def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
-    """Return the pieces and the turn of each, cut into steps short enough to show the sag of the voltage."""
+def _in_steps(pieces: Pieces, way_of: Column) -> tuple[Pieces, Column]:
+    """Return the pieces and the way home of each, cut into steps short enough to show the sag of the voltage."""
     least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, np.where(pieces.gained_ms > 0.0, TURN_STEPS, 1))
     count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
     pieces = pieces._replace(length_s=pieces.length_s / count)
-    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(turn_of, count)
+    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(way_of, count)
 
 
 def turn_back_times(asked: TurnBack, end_s: Array) -> Array:

@@ -59,11 +59,6 @@ class Draws(NamedTuple):
         """Return the draws of some of several beginnings [beginnings, draws] that go on side by side."""
         return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
-    def going_on(self, begun: Draws, which: slice) -> Draws:
-        """Return these draws in the states of some of the draws that have `begun`, side by side [beginnings, draws]."""
-        state = State(*(column[:, which] for column in begun.state))
-        return self._replace(state=state, bias_V=begun.bias_V[:, which])
-
 
 class Source(NamedTuple):
     """Source is the voltage source that a load meets in each cell now, as `model.source` has it.
