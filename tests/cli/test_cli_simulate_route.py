@@ -1,7 +1,8 @@
-"""`uavbatt simulate --mission`: a flight along a file's route, and wrong inputs in one line."""
+"""`uavbatt simulate --mission`: a flight along a file's route, wrong inputs in one line, the mission beside its log."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -49,3 +50,19 @@ def test_wrong_inputs(tmp_path: Path, arguments: tuple[str, ...], words: str, co
     assert (done.returncode, words in done.stderr) == (code, True), done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "f.tlog").exists()
+
+
+def test_a_mission_beside_a_log_without_places_is_not_passed_over_in_silence(tmp_path: Path) -> None:
+    (tmp_path / "route.waypoints").write_text(ROUTE)
+    simulated = called("simulate", "-o", "f.csv", "--power-w", "700", "--rate-hz", "0.5", folder=tmp_path)
+    assert simulated.returncode == 0, simulated.stderr
+    call = ("replay", "f.csv", "--capacity-ah", "5", "--jsonl")
+    alone = called(*call, "alone.jsonl", folder=tmp_path)
+    planned = called(*call, "planned.jsonl", "--mission", "route.waypoints", folder=tmp_path)
+    assert "  route " not in alone.stdout
+    assert "  route      not used: the mode is unknown" in planned.stdout
+    rows, same = (
+        [json.loads(line) for line in (tmp_path / name).read_text(encoding="utf-8").splitlines()]
+        for name in ("alone.jsonl", "planned.jsonl")
+    )
+    assert [row["remaining_s"] for row in same] == [row["remaining_s"] for row in rows]

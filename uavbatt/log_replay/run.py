@@ -17,6 +17,7 @@ from uavbatt.battery.sizing.pack_size import PackOptions, PackSize, why_no_capac
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
+from uavbatt.navigation import NOWHERE
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
@@ -79,8 +80,12 @@ def recorded_period_s(flight: Flight) -> float:
 
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
-    """Return the flight with the mission of a file instead of the log's own."""
-    return replace(flight, navigation=tuple(planned.flown(known) for known in flight.navigation))
+    """Return the flight with the mission of a file instead of the log's own.
+
+    A log that says nothing of place and mode has it, too, so that its rows say why the mission is not used.
+    """
+    said = flight.navigation or (replace(NOWHERE, time_s=flight.samples[0].time_s),)
+    return replace(flight, navigation=tuple(planned.flown(known) for known in said))
 
 
 def steps(flight: Flight, estimator: Estimator, later: Sequence[PackHealth | None] = ()) -> Iterator[ReplayedRow]:

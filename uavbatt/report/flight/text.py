@@ -149,8 +149,10 @@ def _route_lines(route: dict[str, Any]) -> list[str]:
     share, turn_s = route["route_share"], route["turn_back_now_s"]
     if share is None:
         return []
-    why = f" (not by the others: {route['route_reason']})" if route["route_reason"] else ""
-    text_lines = [f"  route      used by {share:.0%} of the forecasts{why}"]
+    why = route["route_reason"]
+    others = f" (not by the others: {why})" if why else ""
+    used = f"used by {share:.0%} of the forecasts{others}" if share or not why else f"not used: {why}"
+    text_lines = [f"  route      {used}"]
     if route["route_assumed"]:
         text_lines.append(f"  assumed    {route['route_assumed']}")
     if turn_s is not None:
