@@ -213,3 +213,26 @@ def test_the_vehicles_own_log_is_believed(tmp_path: Path) -> None:
     log = tmp_path / "own.BIN"
     write_dataflash(log, [Sample(float(k), 16.0, 12.0, armed=True) for k in range(5)], {"BATT_CAPACITY": 5000.0})
     assert read_log(log).facts[-1][1].capacity_Ah == 5.0
+
+
+def test_after_a_minute_of_silence_a_parameter_counts_before_the_first_heartbeat(tmp_path: Path) -> None:
+    """The link broke before the landing, the pack was changed, and the vehicle tells its parameters as it begins."""
+    bench = flying()
+    for silence_s, counted_Ah in ((50.0, 5.0), (61.0, 4.0)):
+        bench.now_s += silence_s
+        bench.send(parameter("BATT_CAPACITY", 4000.0))
+        bench.daemon.turn()
+        assert resolved(bench).capacity_Ah == counted_Ah
+        bench.send(parameter("BATT_CAPACITY", counted_Ah * 1000.0))
+
+
+@pytest.mark.parametrize(("silence", "capacity_Ah"), [(50, 5.0), (61, 4.0)])
+def test_a_telemetry_log_goes_on_after_a_silence_by_the_same_rule(
+    tmp_path: Path, silence: int, capacity_Ah: float
+) -> None:
+    row = battery_status(Sample(0.0, 16.0, 12.0, 25.0, 0.1), 0)
+    begin = log_of(tmp_path / "begin.tlog", [parameter("BATT_CAPACITY", 5000.0), heartbeat(True), row], 2).read_bytes()
+    later = log_of(tmp_path / "later.tlog", [b""] * (2 + silence) + [parameter("BATT_CAPACITY", 4000.0), row], 2)
+    log = tmp_path / "whole.tlog"
+    log.write_bytes(begin + later.read_bytes()[8 * (2 + silence) :])
+    assert read_log(log).facts[-1][1].capacity_Ah == capacity_Ah

@@ -42,7 +42,8 @@ class HeardParameters:
 
     The first statement of a parameter counts at once, and so does every change on the ground. In the air a single frame
     may be forged or damaged: there a change of a battery parameter counts when a second frame repeats it. A copy of the
-    first frame has its sequence number and is no second one. A frame with the old value ends the doubt.
+    first frame has its sequence number and is no second one. A frame with the old value ends the doubt. A vehicle whose
+    last heartbeat is older than `builder.ARMED_HOLDS_S` counts as on the ground.
     """
 
     def __init__(self) -> None:

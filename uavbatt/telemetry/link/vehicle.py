@@ -22,7 +22,14 @@ from typing import Any
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, FALLBACK_AFTER_S, LONGEST_ALONE_S, LogBuilder
+from uavbatt.telemetry.builder import (
+    ALONE_AFTER_S,
+    ARMED_HOLDS_S,
+    BEATING_S,
+    FALLBACK_AFTER_S,
+    LONGEST_ALONE_S,
+    LogBuilder,
+)
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.lateness import Lateness
@@ -218,7 +225,8 @@ class Vehicle:
         if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
             return
         value = value if math.isfinite(value) else math.nan
-        counts = self.parameters.counts(name, value, framing.sequence(frame), self._log.armed is True)
+        is_armed = self._log.armed is True and self.now_s - self._beat_s <= ARMED_HOLDS_S
+        counts = self.parameters.counts(name, value, framing.sequence(frame), is_armed)
         if counts:
             self.route.builder.parameter(self.now_s, name, value)
         if counts and (name.startswith(BATTERY_NAMES) or name in NAMES):
