@@ -86,7 +86,7 @@ class Batteries:
         """Drop a resumed state if the serial number of the vehicle, heard later, shows that the state is of another."""
         if self._resumption.is_contradicted(self._vehicle):
             self.tracked.clear()
-            self._reader.resume({})
+            self._reader.forget_resumed()
 
     def step(self, row: LiveRow, vehicle: Vehicle, now_s: float) -> Report:
         """Take one row of the followed vehicle through the estimator of its battery; return the report.
@@ -157,7 +157,7 @@ class Batteries:
     def _battery_of(self, instance: int, now_s: float) -> TrackedBattery:
         """Return the battery of this instance; a new one begins from its saved state, if there is one."""
         if not self.tracked:
-            self._reader.resume(self._resumption.meet(self._vehicle))
+            self._reader.resume(*self._resumption.meet(self._vehicle))
         if instance not in self.tracked:
             saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
             self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
@@ -187,12 +187,13 @@ class Batteries:
         batteries = self._resumable(now_s) if path and is_own else {}
         if not batteries:
             return
-        known = self._reader.parameters.items()
+        known, vehicle = self._reader.parameters.items(), self._reader.followed
         content = state.SavedState(
             battery_sha256=self._battery.certificate.content_sha256,
             link=self._config.link.endpoint,
             vehicle=self._vehicle,
             parameters={n: v for n, v in known if _is_worth_keeping(n) and math.isfinite(v)},
+            route=vehicle.heard_route.frames if vehicle is not None else b"",
             batteries=batteries,
         )
         try:

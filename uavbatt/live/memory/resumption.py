@@ -26,10 +26,15 @@ class Resumption:
         why_not = self._why_not or self._mismatch(self._met)
         return f"not resumed: {why_not}" if why_not else ""
 
-    def meet(self, vehicle: SavedVehicle) -> Mapping[str, float]:
-        """Take in the vehicle that is followed; return its saved parameters if the state is of this vehicle."""
+    def meet(self, vehicle: SavedVehicle) -> tuple[Mapping[str, float], bytes]:
+        """Take in the vehicle that is followed; return its saved parameters and the frames of its route.
+
+        They are empty if the state is not of this vehicle.
+        """
         self._met = vehicle
-        return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
+        if self._state is None or self._mismatch(vehicle):
+            return {}, b""
+        return self._state.parameters, self._state.route
 
     def is_contradicted(self, vehicle: SavedVehicle) -> bool:
         """Return True if the vehicle, as it is known now, was given the state of another vehicle."""

@@ -17,6 +17,7 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.link.battery_components import BatteryComponents
+from uavbatt.telemetry.link.heard_route import RouteFrame
 from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
 from uavbatt.telemetry.link.live_row import BATTERY_IDS, LiveRow, battery_fields
 from uavbatt.telemetry.link.vehicle import Vehicle
@@ -119,15 +120,23 @@ class LiveReader:
         vehicle = self.followed
         return vehicle.parameters.known if vehicle is not None else self._resumed
 
-    def resume(self, parameters: Mapping[str, float]) -> None:
-        """Use parameters that an earlier process heard of this vehicle; they replace any that were resumed before.
+    def resume(self, parameters: Mapping[str, float], route: bytes = b"") -> None:
+        """Use parameters, and frames of the route, that an earlier process heard of the followed vehicle.
 
-        If no vehicle is followed yet, they wait for it. Parameters heard from the vehicle itself have priority.
+        They replace any parameters that were resumed before. What is heard from the vehicle itself has priority. While
+        no vehicle is followed, the parameters wait for it.
         """
-        if self.followed is not None:
-            self.followed.resume(parameters)
-        else:
+        if self.followed is None:
             self._resumed = dict(parameters)
+            return
+        complete = [(framing.header(frame), self._decode(frame), frame) for frame in framing.Frames().feed(route)]
+        self.followed.resume(parameters, [RouteFrame(*heard) for heard in complete if heard[1]])
+
+    def forget_resumed(self) -> None:
+        """Forget parameters of an earlier process, and the route: they are another vehicle's."""
+        if self.followed is not None:
+            self.followed.heard_route.forget()
+        self.resume({})
 
     def conflict(self, instance: int) -> str:
         """Return in words what the senders of a battery disagree on; empty while they agree."""
@@ -238,7 +247,7 @@ class LiveReader:
         if followed is None:
             return NOTHING
         is_to_us = message is not None and header.message_id in OF_OTHERS
-        if is_to_us and followed.take_other(header.message_id, message, frame):
+        if is_to_us and followed.heard_route.take_other(followed.now_s, header.message_id, message, frame):
             return TakenFrame([], True)
         if header.system != followed.system:
             return NOTHING

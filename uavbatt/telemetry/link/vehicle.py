@@ -16,7 +16,7 @@ a damaged one must not end a flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +32,7 @@ from uavbatt.telemetry.builder import (
 )
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
+from uavbatt.telemetry.link.heard_route import HeardRoute, RouteFrame
 from uavbatt.telemetry.link.lateness import Lateness
 from uavbatt.telemetry.link.live_row import CONFIRMED_WITHIN_S, LiveRow, heard_twice
 from uavbatt.telemetry.link.speakers import Speakers
@@ -42,21 +43,13 @@ from uavbatt.telemetry.parameters import (
     facts_timeline,
     statements_of,
 )
-from uavbatt.telemetry.route.messages import (
-    HOME_POSITION,
-    MISSION_ACK,
-    OF_AUTOPILOT,
-    OF_OTHERS,
-    NavigationListener,
-)
+from uavbatt.telemetry.route.messages import OF_AUTOPILOT, NavigationListener
 from uavbatt.telemetry.route.settings import NAMES
 
 LAST_BEAT_S = 10.0  # slow radios carry a heartbeat every 5 s
 WITHOUT_VOLTAGE = 5  # battery messages without a voltage before a note says so
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
-MOST_TRANSFER_WORDS = 6000
-_MISSION_WORDS = b"mission "
 
 
 class Vehicle:
@@ -64,12 +57,11 @@ class Vehicle:
 
     def __init__(self, system: int, component: int, own_component: int | None = None) -> None:
         self.system, self.component = system, component
-        self.route = NavigationListener(own=None if own_component is None else (system, own_component))
-        self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.speakers = Speakers()
         self.parameters = HeardParameters()
         self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
+        self.heard_route = HeardRoute(system, component, own_component, self.words)
         self.battery_ids: set[int] = set()
         self.is_px4: bool | None = None  # until the first heartbeat
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
@@ -90,6 +82,11 @@ class Vehicle:
         self._sys_status_s = -math.inf
         self._alone_s = 0.0  # time of SYS_STATUS without BATTERY_STATUS of battery 0
         self._spoke_s = -math.inf
+
+    @property
+    def route(self) -> NavigationListener:
+        """Return what is known of route and place."""
+        return self.heard_route.listener
 
     @property
     def now_s(self) -> float:
@@ -140,30 +137,11 @@ class Vehicle:
         for name, value in statements_of(pack):
             self._take_statement(name, value, frame)
 
-    def resume(self, earlier: Mapping[str, float]) -> None:
-        """Use parameters that an earlier process heard of this vehicle; parameters heard from it have priority."""
+    def resume(self, earlier: Mapping[str, float], heard: Iterable[RouteFrame] = ()) -> None:
+        """Use parameters and frames of the route that an earlier process heard; what the vehicle tells has priority."""
         self.parameters.resume(earlier)
+        self.heard_route.resume(self.now_s, heard)
         self.route.builder.settings(self.now_s, self.parameters.known)
-
-    def take_other(self, message_id: int, message: Any, frame: bytes) -> bool:
-        """Process a mission message of another station; return True if it was sent to this autopilot."""
-        if (message.target_system, message.target_component) not in ((self.system, self.component), (self.system, 0)):
-            return False
-        self._in_transfer(frame, lambda: self.route.take_other(self.now_s, message_id, message))
-        return True
-
-    def _in_transfer(self, frame: bytes, take: Callable[[], None]) -> None:
-        """Process a frame of a mission transfer; the frames of the last complete one are kept for the recording."""
-        if len(self._transfer_words) < MOST_TRANSFER_WORDS:
-            self._transfer_words.append(frame)
-        before = self.route.builder.held
-        take()
-        if self.route.builder.held is not before:
-            for key in [key for key in self.words if key.startswith(_MISSION_WORDS)]:
-                del self.words[key]
-            self.words |= {_MISSION_WORDS + b"%d" % k: kept for k, kept in enumerate(self._transfer_words)}
-        if not self.route.transfer.is_open:
-            self._transfer_words = []
 
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
@@ -179,7 +157,7 @@ class Vehicle:
             self.hardware = self.hardware or fields.hardware(message.uid)
             return []
         if message_id in OF_AUTOPILOT:
-            self._take_of_route(message_id, message, frame, time_s)
+            self.heard_route.take(time_s, message_id, message, frame)
             return []
         if battery is None:  # from a program that writes a mission, with the autopilot's own ids
             return []
@@ -204,14 +182,6 @@ class Vehicle:
         unread, self._unread = self._unread, []
         for said, of_frame in unread:
             self._hear(said, of_frame)
-
-    def _take_of_route(self, message_id: int, message: Any, frame: bytes, time_s: float) -> None:
-        if message_id in OF_OTHERS or message_id == MISSION_ACK:
-            self._in_transfer(frame, lambda: self.route.take(time_s, message_id, message))
-            return
-        self.route.take(time_s, message_id, message)
-        if message_id == HOME_POSITION:
-            self.words[b"home"] = frame
 
     def _hear(self, message: Any, frame: bytes) -> None:
         if self.is_px4 is None and fields.is_integer(message):

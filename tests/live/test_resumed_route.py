@@ -1,0 +1,129 @@
+"""A process that is started anew in the air still knows home and mission: the vehicle told them once."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_bench import Bench
+from frames import HOME_POSITION
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+from test_live_route import item, reader, second, upload
+
+from uavbatt.live.config import StateSection
+from uavbatt.simulate.tlog_writer import heartbeat
+
+OTHER = {"system": 9, "component": 1}
+
+
+def section(folder: Path) -> StateSection:
+    return StateSection(file=str(folder / "state.json"))
+
+
+def flown(folder: Path, told_total: int = 0) -> Bench:
+    """A flight of 40 s with a mission by another station, after which the process ends."""
+    bench = Bench(state=section(folder))
+    bench.send(heartbeat(True, 3))
+    bench.send(dialect.MAVLink_param_value_message(b"RTL_ALT", 3000.0, 9, 1, 0))
+    bench.send(serial(0xABC))
+    bench.send(HOME_POSITION)
+    for k in range(40):
+        if k == 5:
+            upload(bench)
+        second(bench, k)
+    if told_total:
+        bench.send(dialect.MAVLink_mission_current_message(3, told_total))
+        second(bench, 40)
+    bench.daemon.close()
+    return bench
+
+
+def serial(uid: int) -> Any:
+    """AUTOPILOT_VERSION with the serial number of the autopilot."""
+    return dialect.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid)
+
+
+def restarted(folder: Path, at_s: float) -> Bench:
+    """The process anew, three seconds later; it has heard a second of telemetry."""
+    bench = Bench(start_s=at_s + 3.0, state=section(folder))
+    for k in range(44, 47):
+        second(bench, k)
+    return bench
+
+
+def edited(folder: Path, route: bytes) -> None:
+    """Put other frames into the saved state."""
+    path = folder / "state.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "route": base64.b64encode(route).decode()}))
+
+
+def test_a_restart_in_the_air_keeps_home_mission_and_the_way_back(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    for _ in range(2):  # the second process takes them from the first, the third from the second
+        after = restarted(tmp_path, before.now_s)
+        was, now = reader(before).navigation, reader(after).navigation
+        assert was.mission is not None
+        assert (now.mission, now.home, repr(now.settings)) == (was.mission, was.home, repr(was.settings))
+        assert not now.transferring
+        before = after
+        before.daemon.close()
+
+
+def test_what_the_vehicle_tells_itself_has_priority(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    bench = Bench(start_s=before.now_s + 3.0, state=section(tmp_path))
+    bench.send(heartbeat(True, 3))
+    bench.send(dialect.MAVLink_home_position_message(471000000, 80000000, 400_000, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0))
+    bench.send(dialect.MAVLink_mission_count_message(255, 190, 2))
+    bench.send(item(0, (255, 190)))
+    bench.send(item(1, (255, 190)))
+    for k in range(44, 47):
+        second(bench, k)
+    now = reader(bench).navigation
+    assert now.home is not None and now.home.lat_deg == pytest.approx(47.1)
+    assert now.mission is not None and len(now.mission.items) == 2
+
+
+@pytest.mark.parametrize("when", ["before the restart", "after it"])
+def test_another_mission_than_was_read_is_not_used_after_a_restart(when: str, tmp_path: Path) -> None:
+    before = flown(tmp_path, told_total=7 if when == "before the restart" else 0)
+    bench = restarted(tmp_path, before.now_s)
+    if when == "before the restart":
+        assert reader(bench).navigation.mission is None
+        return
+    bench.send(dialect.MAVLink_mission_current_message(3, 7))
+    second(bench, 47)
+    mission = reader(bench).navigation.mission
+    assert mission is not None and mission.reason == "the autopilot holds another mission than was read"
+
+
+def test_another_aircraft_of_the_same_number_has_not_this_route(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    bench = restarted(tmp_path, before.now_s)
+    assert reader(bench).navigation.mission is not None
+    bench.send(serial(0xDEF))
+    second(bench, 47)
+    now = reader(bench).navigation
+    assert (now.mission, now.home) == (None, None)
+
+
+def test_strange_frames_in_a_state_tell_nothing(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    forged = Bench()
+    frames = [
+        forged.framed(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 50_000.0, 9, 1, 0)),
+        forged.framed(HOME_POSITION, **OTHER),
+        forged.framed(dialect.MAVLink_mission_count_message(3, 3, 1), **OTHER),
+    ]
+    whole = forged.framed(HOME_POSITION)
+    damaged = bytes([*whole[:-3], whole[-3] ^ 0xFF, *whole[-2:]])
+    edited(tmp_path, b"".join([*frames, damaged, whole[:20], bytes(range(256))]))
+    bench = restarted(tmp_path, before.now_s)
+    now = reader(bench).navigation
+    assert (now.mission, now.home) == (None, None)
+    assert "BATT_CAPACITY" not in reader(bench).parameters
+    assert "resumed from" in "; ".join(bench.daemon.board.notes)
