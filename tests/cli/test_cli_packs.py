@@ -89,6 +89,18 @@ def test_wrong_input_is_named_in_one_line(run, ledger, arguments, code, words):
     assert "Traceback" not in said.stderr
 
 
+def test_a_plan_takes_the_size_of_the_pack_from_its_flights(run, ledger):
+    call = ("plan", "--power-w", "150", "--packs", ledger, "--pack", "B")
+    known, size, *_ = run(*call).stdout.splitlines()
+    assert known.startswith("pack B: ") and known.endswith("4 flights remembered")
+    assert "4S from pack B in the ledger, 5 Ah from pack B in the ledger" in size
+    _, size, *_ = run(*call, "--capacity-ah", "5.2", "--cells", "4").stdout.splitlines()
+    assert "4S from --cells, 5.2 Ah from --capacity-ah" in size
+    other = run(*call, "--cells", "3")
+    assert (other.returncode, other.stdout) == (2, "")
+    assert other.stderr == "uavbatt: --cells 3: pack B has 4 by the ledger\n"
+
+
 def test_a_ledger_in_a_folder_that_nobody_may_write_is_read(ledger):
     """On a card that is write-protected, or in the folder of another user."""
     plain = [] if os.geteuid() else ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]  # root writes anywhere

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uavbatt.errors import UsageError
 from uavbatt.output import counted
@@ -29,6 +30,33 @@ class LearnedFlight:
     fields: dict[str, Any] = field(default_factory=dict)
 
 
+class RecalledPack(NamedTuple):
+    """RecalledPack holds today's health of a known pack, its size by its flights, and both in words."""
+
+    name: str
+    health: PackHealth
+    cells: int
+    rated_Ah: float
+    words: str
+
+    def completed(self, options: PackOptions) -> PackOptions:
+        """Return the options with the size that the ledger knows, where the caller states none.
+
+        Raises UsageError if the caller states other cells.
+        """
+        from uavbatt.battery.remembered import of_known_cells
+
+        options = of_known_cells(options, self.health)
+        if options.cells not in (None, self.cells):
+            raise UsageError(f"--cells {options.cells}: pack {self.name} has {self.cells} by the ledger")
+        ledger, names = f"pack {self.name} in the ledger ", options.names
+        if options.cells is None:
+            options, names = replace(options, cells=self.cells), names._replace(cells=ledger)
+        if math.isnan(options.capacity_Ah):
+            options, names = replace(options, capacity_Ah=self.rated_Ah), names._replace(capacity=ledger)
+        return replace(options, names=names)
+
+
 @dataclass(frozen=True, slots=True)
 class PackMemory:
     """PackMemory holds an open ledger, or None, and the pack name that the user stated."""
@@ -44,8 +72,8 @@ class PackMemory:
             return None
         return health_before(self.ledger, name_of(flight, self.stated), flight, battery)
 
-    def recalled_now(self, battery: BatteryFile) -> PackHealth | None:
-        """Return today's health of the pack in --pack. Raises UsageError for a pack that is not in the ledger."""
+    def recalled_now(self, battery: BatteryFile) -> RecalledPack | None:
+        """Return the pack in --pack as it is today. Raises UsageError for a pack that is not in the ledger."""
         from uavbatt.packs.ledger import prior
 
         if self.ledger is None:
@@ -53,10 +81,11 @@ class PackMemory:
         if not self.stated:
             raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
         now_utc_s = time.time()
-        last = self.ledger.last(self.stated, now_utc_s)
-        if last is None:
+        last, pack = self.ledger.last(self.stated, now_utc_s), self.ledger.pack(self.stated)
+        if last is None or pack is None:
             raise unknown_pack(self.ledger, self.stated)
-        return prior(last, now_utc_s, battery.certificate.content_sha256)
+        health = prior(last, now_utc_s, battery.certificate.content_sha256)
+        return RecalledPack(pack.name, health, pack.cells, pack.rated_Ah, _known_words(pack))
 
     def learn(
         self, flight: Flight, battery: BatteryFile, options: PackOptions, health: PackHealth | None
@@ -88,13 +117,18 @@ class PackMemory:
 
 def _learned(pack: PackRow, findings: Sequence[PackFinding]) -> LearnedFlight:
     """Return in words what is known of a pack after a flight that was saved, and the findings of that flight."""
+    said = (_known_words(pack), *(finding.words for finding in findings))
+    lines = tuple(f"  pack       {pack.name}: {words}" for words in said)
+    kinds = [finding.kind for finding in findings]
+    return LearnedFlight(lines, {"pack": pack.name, "pack_flights": pack.outlook.flights, "pack_findings": kinds})
+
+
+def _known_words(pack: PackRow) -> str:
+    """Return in words what the ledger knows of a pack."""
     seen = pack.outlook
     capacity = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
     flights = counted(seen.flights, "flight")
-    known = f"{capacity}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights} remembered"
-    lines = [f"  pack       {pack.name}: {words}" for words in (known, *(finding.words for finding in findings))]
-    kinds = [finding.kind for finding in findings]
-    return LearnedFlight(tuple(lines), {"pack": pack.name, "pack_flights": seen.flights, "pack_findings": kinds})
+    return f"{capacity}, {1000.0 * seen.resistance_ohm:.1f} mohm a cell; {flights} remembered"
 
 
 def unknown_pack(ledger: Ledger, name: str) -> UsageError:

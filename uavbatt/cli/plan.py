@@ -74,7 +74,6 @@ def plan(
 
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
-    from uavbatt.battery.remembered import of_known_cells
     from uavbatt.plan.endurance import TakeOff, make_plan, resolve
     from uavbatt.telemetry import read_log
 
@@ -86,9 +85,12 @@ def plan(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     with pack_memory.open_memory(packs, pack, only_read=True) as memory:
-        remembered = memory.recalled_now(content)
-    resolved = resolve(content, of_known_cells(options, remembered), flight)
-    take_off = TakeOff(ambient_c, start_soc, reserve_soc, remembered)
+        known = memory.recalled_now(content)
+    options = known.completed(options) if known is not None else options
+    resolved = resolve(content, options, flight)
+    take_off = TakeOff(ambient_c, start_soc, reserve_soc, known.health if known is not None else None)
+    if known is not None:
+        files.say(f"pack {known.name}: {known.words}")
     if mission is not None:
         planned = planned_mission(mission, vehicle, positive_or_nan(power_w, "--power-w"), wind)
         plan_and_tell(planned, mission.name, content, resolved, take_off, files)
