@@ -41,7 +41,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def write_flight(log: Path, serial: int, fade: float, epoch_s: float) -> float:
     """Write a flight of a pack, landed at its end; return when a ground station could hear the next one [s]."""
     pack = with_effects(generic_pack(), {"capacity_fade": fade})
-    flown = list(simulate_flight(pack, SimulatedFlight(400.0, rate_Hz=1.0, seed=int(epoch_s) % 97)))
+    flown = list(simulate_flight(pack, SimulatedFlight(600.0, rate_Hz=0.5, seed=int(epoch_s) % 97)))
     last = flown[-1]
     flown += [replace(last, time_s=last.time_s + k, current_A=0.1, voltage_V=14.0, armed=False) for k in range(1, 20)]
     parameters = {"BATT_CAPACITY": 5000.0, "BATT_CRT_VOLT": 13.2, "BATT_SERIAL_NUM": serial}
