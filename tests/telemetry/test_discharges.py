@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from factories import generic_pack
-from frames import battery_row, hover, smart, write_log
+from frames import battery_row, frame, hover, smart, write_log
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.navigation import Navigation
 from uavbatt.prediction.load.power_history import RecentLoad
@@ -159,6 +161,21 @@ def test_the_serial_alone_tells_a_pack_with_the_same_voltage(tmp_path: Path) -> 
     told = smart(5200, 4, 2.0, b"A1"), smart(5200, 4, 602.0, b"B2"), smart(5200, 4, 612.0, b"B2")
     assert two_flights(tmp_path, *told, second_V=14.6).discharges == ((600.0, "B2"),)
     assert two_flights(tmp_path, *told[:1], second_V=14.6).discharges == ()
+
+
+@pytest.mark.parametrize("second_V", [16.5, 14.6])
+def test_what_is_stated_before_the_first_row_of_a_pack_is_of_that_pack(second_V: float, tmp_path: Path) -> None:
+    """A ground station asks for parameters first: the flight before had the serial and the size of the next pack."""
+    stated = [
+        (at_s, frame(dialect.MAVLink_param_value_message(name, value, 9, 2, 0), at_s))
+        for at_s, serial, capacity_mAh in ((0.0, 7.0, 5000.0), (599.0, 9.0, 6000.0))
+        for name, value in ((b"BATT_SERIAL_NUM", serial), (b"BATT_CAPACITY", capacity_mAh))
+    ]
+    log = two_flights(tmp_path, *stated, second_V=second_V)
+    assert log.discharges == ((600.0, "9"),)  # with the same voltage the serial alone tells it
+    one, two = of_discharges(log)
+    assert (one.identity.battery_serial, two.identity.battery_serial) == ("7", "9")
+    assert [part.facts_at(math.inf).capacity_Ah for part in (one, two)] == [5.0, 6.0]
 
 
 def test_a_part_without_a_flight_is_left_out() -> None:

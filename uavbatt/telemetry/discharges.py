@@ -41,26 +41,37 @@ def later_discharges(
     told, stated : serials by the packs themselves, and by the parameters, which last; each with its time [s]
     """
     found = []
-    for begin_s, end_s in pairwise([*begins_s(rows, told), np.inf]):
-        of_pack = [serial for time_s, serial in told if begin_s <= time_s < end_s]
-        of_vehicle = [serial for time_s, serial in stated if time_s < end_s]
+    for begin_s, end_s in pairwise([*begins_s(rows, told or stated), np.inf]):
+        after_s, until_s = last_row_s(rows, begin_s), last_row_s(rows, end_s)
+        of_pack = [serial for time_s, serial in told if after_s < time_s <= until_s]
+        of_vehicle = [serial for time_s, serial in stated if time_s <= until_s]
         found.append((begin_s, (of_pack[:1] or of_vehicle[-1:] or [""])[0]))
     return tuple(found)
+
+
+def last_row_s(rows: Columns, begin_s: float) -> float:
+    """Return the time of the last row before a discharge that begins at `begin_s` [s]; infinite if that is infinite.
+
+    What is stated after it is of the next pack: a vehicle that is switched on tells its parameters before its battery.
+    """
+    if begin_s == np.inf:
+        return np.inf
+    time_s = _with_pack(rows).time_s
+    return float(time_s[time_s < begin_s][-1])
 
 
 def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[float, ...]:
     """Return the times [s] at which another discharge begins than that of the log's first rows.
 
-    told : serials that the packs themselves tell, each with its time [s]
+    told : serials of the packs, each with the time at which it was told [s]
     """
-    volts = rows.voltage_V
-    rows = rows.at(volts > NO_PACK * np.median(volts))  # on USB power the autopilot speaks on without its pack
+    rows = _with_pack(rows)
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
     least_A = loaded_A(rows.current_A)
     changed_s = [
         begin_s
-        for k, begin_s in zip(ends.tolist(), rows.time_s[ends + 1].tolist(), strict=True)
-        if _has_other_serial(told, begin_s) or _is_another(rows, k, least_A)
+        for k, silent_s, begin_s in zip(ends.tolist(), *rows.time_s[[ends, ends + 1]].tolist(), strict=True)
+        if _has_other_serial(told, silent_s) or _is_another(rows, k, least_A)
     ]
     docked = _docked(rows, least_A)
     charged_s = [begin_s for landed_s, begin_s in docked if not any(landed_s < s <= begin_s for s in changed_s)]
@@ -100,6 +111,7 @@ def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Fligh
     """Return the rows of a flight from one time to another [s], with what was known then."""
     samples = tuple(sample for sample in flight.samples if begin_s <= sample.time_s < end_s)
     began_s = samples[0].time_s if samples else NAN
+    until_s = samples[-1].time_s if samples and end_s < np.inf else end_s  # later statements are of the next pack
     who = flight.identity
     if begin_s > -np.inf:  # what was said of the first pack and its start does not hold
         start_utc_s = who.start_utc_s + began_s
@@ -110,7 +122,7 @@ def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Fligh
         flight,
         samples=samples,
         discharges=(),
-        facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s < end_s),
+        facts=tuple((time_s, facts) for time_s, facts in flight.facts if time_s <= until_s),
         navigation=tuple(known for known in navigation if known.time_s < end_s),
         duration_s=samples[-1].time_s - began_s if samples else 0.0,
         identity=who,
@@ -138,10 +150,16 @@ def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
                 yield landed_s, float(rows.time_s[np.argmax(after)])
 
 
-def _has_other_serial(told: Sequence[tuple[float, str]], begin_s: float) -> bool:
-    """Return True if the pack told another serial before a time [s] than from then on."""
-    before = [serial for time_s, serial in told if time_s < begin_s][-1:]
-    after = [serial for time_s, serial in told if time_s >= begin_s][:1]
+def _with_pack(rows: Columns) -> Columns:
+    """Return the rows in which the autopilot has its pack: on USB power it speaks on without."""
+    volts = rows.voltage_V
+    return rows.at(volts > NO_PACK * np.median(volts))
+
+
+def _has_other_serial(told: Sequence[tuple[float, str]], silent_s: float) -> bool:
+    """Return True if another serial was told after a time [s] than until then."""
+    before = [serial for time_s, serial in told if time_s <= silent_s][-1:]
+    after = [serial for time_s, serial in told if time_s > silent_s][:1]
     return bool(before and after) and before != after
 
 

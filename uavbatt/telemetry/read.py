@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import re
 import sys
@@ -69,7 +70,7 @@ def _uncollected() -> Iterator[None]:
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
-    from uavbatt.telemetry.discharges import discharge_notes, later_discharges
+    from uavbatt.telemetry.discharges import discharge_notes, last_row_s, later_discharges
 
     kind, log = _kind_and_rows(source, data, system)
     chosen = _chosen(source, log, instance)
@@ -77,7 +78,8 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
     serials, stated = log.serials.get(chosen, []), stated_serials(log.parameters, chosen)
     known = {name: value for _, name, value in log.parameters}
     discharges = later_discharges(rows, serials, stated)
-    of_first = [one for one in log.parameters if not discharges or one[0] < discharges[0][0]]  # not of a later pack
+    until_s = last_row_s(rows, discharges[0][0]) if discharges else math.inf
+    of_first = [one for one in log.parameters if one[0] <= until_s]  # not of a later pack
     return Flight(
         source=printable(source),
         kind=kind,
