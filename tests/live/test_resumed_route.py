@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,10 @@ from frames import HOME_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_route import item, reader, second, upload
 
-from uavbatt.live.config import StateSection
+from uavbatt.battery.sizing.pack_size import PackOptions
+from uavbatt.live.config import RecordSection, StateSection
 from uavbatt.simulate.tlog_writer import heartbeat
+from uavbatt.telemetry import read_log
 
 OTHER = {"system": 9, "component": 1}
 
@@ -25,9 +29,10 @@ def section(folder: Path) -> StateSection:
 
 def flown(folder: Path, told_total: int = 0) -> Bench:
     """A flight of 40 s with a mission by another station, after which the process ends."""
-    bench = Bench(state=section(folder))
+    bench = Bench(PackOptions(), state=section(folder))
     bench.send(heartbeat(True, 3))
-    bench.send(dialect.MAVLink_param_value_message(b"RTL_ALT", 3000.0, 9, 1, 0))
+    for name, value in ((b"RTL_ALT", 3000.0), (b"BATT_CAPACITY", 5000.0)):
+        bench.send(dialect.MAVLink_param_value_message(name, value, 9, 2, 0))
     bench.send(serial(0xABC))
     bench.send(HOME_POSITION)
     for k in range(40):
@@ -46,19 +51,19 @@ def serial(uid: int) -> Any:
     return dialect.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid)
 
 
-def restarted(folder: Path, at_s: float) -> Bench:
-    """The process anew, three seconds later; it has heard a second of telemetry."""
-    bench = Bench(start_s=at_s + 3.0, state=section(folder))
+def restarted(folder: Path, at_s: float, **sections: Any) -> Bench:
+    """The process anew, three seconds later; it has heard two seconds of telemetry."""
+    bench = Bench(PackOptions(), start_s=at_s + 3.0, state=section(folder), **sections)
     for k in range(44, 47):
         second(bench, k)
     return bench
 
 
-def edited(folder: Path, route: bytes) -> None:
+def edited(folder: Path, told: bytes) -> None:
     """Put other frames into the saved state."""
     path = folder / "state.json"
     content = json.loads(path.read_text())
-    path.write_text(json.dumps({**content, "route": base64.b64encode(route).decode()}))
+    path.write_text(json.dumps({**content, "told": base64.b64encode(told).decode()}))
 
 
 def test_a_restart_in_the_air_keeps_home_mission_and_the_way_back(tmp_path: Path) -> None:
@@ -71,6 +76,19 @@ def test_a_restart_in_the_air_keeps_home_mission_and_the_way_back(tmp_path: Path
         assert not now.transferring
         before = after
         before.daemon.close()
+
+
+def test_a_recording_after_a_restart_is_replayed_on_its_own(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    bench = restarted(tmp_path, before.now_s, record=RecordSection(folder=str(tmp_path / "logs"), when="always"))
+    bench.daemon.close()
+    (log,) = (tmp_path / "logs").glob("*.tlog")
+    found = read_log(log)
+    last = found.navigation[-1]
+    assert found.facts_at(math.inf).capacity_Ah == 5.0
+    assert last.settings.return_height_m == 30.0
+    was = reader(before).navigation
+    assert (last.mission, last.home) == (replace(was.mission, source=last.mission.source), was.home)
 
 
 def test_what_the_vehicle_tells_itself_has_priority(tmp_path: Path) -> None:
@@ -125,5 +143,5 @@ def test_strange_frames_in_a_state_tell_nothing(tmp_path: Path) -> None:
     bench = restarted(tmp_path, before.now_s)
     now = reader(bench).navigation
     assert (now.mission, now.home) == (None, None)
-    assert "BATT_CAPACITY" not in reader(bench).parameters
+    assert reader(bench).parameters["BATT_CAPACITY"] == 5000.0
     assert "resumed from" in "; ".join(bench.daemon.board.notes)

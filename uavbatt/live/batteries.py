@@ -193,7 +193,7 @@ class Batteries:
             link=self._config.link.endpoint,
             vehicle=self._vehicle,
             parameters={n: v for n, v in known if _is_worth_keeping(n) and math.isfinite(v)},
-            route=vehicle.heard_route.frames if vehicle is not None else b"",
+            told=vehicle.told if vehicle is not None else b"",
             batteries=batteries,
         )
         try:

@@ -175,6 +175,8 @@ class Daemon:
         if isinstance(self._link, ProxyClient) and "proxy" in self.config.feed.kinds:
             self._link.estimate(report.late_by(self._reader.late_s), now_s)
         if self._recorder is not None:
+            if before is None and self.batteries.tracked[row.instance].resumed:
+                self._recorder.tell_again(self._stamp_us, now_s)
             self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 
     def _housekeeping(self, now_s: float, reports: Sequence[Report]) -> None:

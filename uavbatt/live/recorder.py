@@ -60,6 +60,15 @@ class Recorder:
         self.close()
         self._prelude, self.words = {}, words
 
+    def tell_again(self, stamp_us: int, now_s: float) -> None:
+        """Record the vehicle's own frames once more: an earlier process has heard frames of it before this one."""
+        if self._raw is None or self._paused_s is not None:
+            return
+        try:
+            self._write_words(stamp_us)
+        except OSError as error:
+            self._note_failure(error.strerror or str(error), now_s)
+
     def frame(self, frame: bytes, stamp_us: int, time_s: float, now_s: float, armed: bool | None) -> None:
         """Record one frame: stamp_us since 1970 [µs], time_s on the reader's clock, now_s monotonic [s]."""
         if self._paused_s is not None and now_s - self._paused_s > RESUMED_WITHIN_S:
@@ -126,10 +135,15 @@ class Recorder:
         self._raw = (self._folder / f"{self._name}.tlog").open("wb")
         self._start_s, self.problem = time_s, ""
         self._look_s = now_s + LOOK_S
-        for kept in (*self._prelude.values(), *self.words.values()):
-            self._raw.write(struct.pack(">Q", stamp_us) + kept)
+        self._write_words(stamp_us)
         self._remove_oldest()
         return True
+
+    def _write_words(self, stamp_us: int) -> None:
+        """Write the frames with which a recording begins. Raises OSError."""
+        assert self._raw is not None
+        for kept in (*self._prelude.values(), *self.words.values()):
+            self._raw.write(struct.pack(">Q", stamp_us) + kept)
 
     def _new_name(self, stamp_us: int) -> str:
         base = time.strftime("uavbatt-%Y%m%d-%H%M%S", time.gmtime(stamp_us / 1e6))

@@ -27,14 +27,14 @@ class Resumption:
         return f"not resumed: {why_not}" if why_not else ""
 
     def meet(self, vehicle: SavedVehicle) -> tuple[Mapping[str, float], bytes]:
-        """Take in the vehicle that is followed; return its saved parameters and the frames of its route.
+        """Take in the vehicle that is followed; return its saved parameters and what it told.
 
         They are empty if the state is not of this vehicle.
         """
         self._met = vehicle
         if self._state is None or self._mismatch(vehicle):
             return {}, b""
-        return self._state.parameters, self._state.route
+        return self._state.parameters, self._state.told
 
     def is_contradicted(self, vehicle: SavedVehicle) -> bool:
         """Return True if the vehicle, as it is known now, was given the state of another vehicle."""

@@ -1,7 +1,7 @@
 """The file of the saved state: written atomically every few seconds, read once at the start.
 
     {"version", "boot_id", "monotonic_s", "wall_s", "is_clock_set", "battery_sha256", "link",
-     "vehicle": {"system", "component", "hardware"}, "parameters": {...}, "route": "...", "batteries": {id: {...}}}
+     "vehicle": {"system", "component", "hardware"}, "parameters": {...}, "told": "...", "batteries": {id: {...}}}
 
 Within one boot its age comes from the boot's clock. Across boots it comes from the wall clock, if that was set both
 times: a computer without a battery-backed clock goes on with the old time after hours without power. A state that is
@@ -21,7 +21,7 @@ import msgspec
 
 from uavbatt.files import atomic_write
 
-VERSION = 14
+VERSION = 15
 MOST_BYTES = 1_000_000
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 HARDWARE_CLOCKS = Path("/sys/class/rtc")
@@ -49,14 +49,14 @@ class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
 class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
     """SavedState holds the file's content without its time; `battery_sha256` and `link` are those of the process.
 
-    route : the frames in which the vehicle told its home and its mission (`HeardRoute.frames`)
+    told : the frames in which the vehicle told parameters, home and mission (`Vehicle.told`)
     """
 
     battery_sha256: Name
     link: Annotated[str, msgspec.Meta(max_length=1000)]
     vehicle: SavedVehicle
     parameters: Annotated[dict[Name, Parameter], msgspec.Meta(max_length=1000)]
-    route: Annotated[bytes, msgspec.Meta(max_length=MOST_BYTES)] = b""
+    told: Annotated[bytes, msgspec.Meta(max_length=MOST_BYTES)] = b""
     batteries: Annotated[dict[Annotated[str, msgspec.Meta(pattern="^[0-9]{1,3}$")], Battery],
                          msgspec.Meta(max_length=256)]  # fmt: skip
 

@@ -16,8 +16,8 @@ MOST_TRANSFER_FRAMES = 6000
 _HOME, _MISSION = b"home", b"mission "
 
 
-class RouteFrame(NamedTuple):
-    """RouteFrame holds a frame, its header and its message."""
+class ToldFrame(NamedTuple):
+    """ToldFrame holds a frame, its header and its message."""
 
     header: Header
     message: Any
@@ -60,7 +60,7 @@ class HeardRoute:
         self._transfer(frame, lambda: self.listener.take_other(time_s, message_id, message))
         return True
 
-    def resume(self, time_s: float, heard: Iterable[RouteFrame]) -> None:
+    def resume(self, time_s: float, heard: Iterable[ToldFrame]) -> None:
         """Take the `frames` of an earlier process, where this one has not heard home or mission itself."""
         has_home = self.listener.now.home is not None
         has_mission = self.listener.builder.held is not None or self.listener.transfer.is_open

@@ -17,7 +17,7 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.link.battery_components import BatteryComponents
-from uavbatt.telemetry.link.heard_route import RouteFrame
+from uavbatt.telemetry.link.heard_route import ToldFrame
 from uavbatt.telemetry.link.lateness import BOOT_TIME_AT, boot_time_s
 from uavbatt.telemetry.link.live_row import BATTERY_IDS, LiveRow, battery_fields
 from uavbatt.telemetry.link.vehicle import Vehicle
@@ -120,8 +120,8 @@ class LiveReader:
         vehicle = self.followed
         return vehicle.parameters.known if vehicle is not None else self._resumed
 
-    def resume(self, parameters: Mapping[str, float], route: bytes = b"") -> None:
-        """Use parameters, and frames of the route, that an earlier process heard of the followed vehicle.
+    def resume(self, parameters: Mapping[str, float], told: bytes = b"") -> None:
+        """Use parameters, and the frames (`Vehicle.told`), that an earlier process heard of the followed vehicle.
 
         They replace any parameters that were resumed before. What is heard from the vehicle itself has priority. While
         no vehicle is followed, the parameters wait for it.
@@ -129,8 +129,8 @@ class LiveReader:
         if self.followed is None:
             self._resumed = dict(parameters)
             return
-        complete = [(framing.header(frame), self._decode(frame), frame) for frame in framing.Frames().feed(route)]
-        self.followed.resume(parameters, [RouteFrame(*heard) for heard in complete if heard[1]])
+        complete = [(framing.header(frame), self._decode(frame), frame) for frame in framing.Frames().feed(told)]
+        self.followed.resume(parameters, [ToldFrame(*heard) for heard in complete if heard[1]])
 
     def forget_resumed(self) -> None:
         """Forget parameters of an earlier process, and the route: they are another vehicle's."""

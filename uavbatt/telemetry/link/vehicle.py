@@ -16,7 +16,7 @@ a damaged one must not end a flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +32,7 @@ from uavbatt.telemetry.builder import (
 )
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
-from uavbatt.telemetry.link.heard_route import HeardRoute, RouteFrame
+from uavbatt.telemetry.link.heard_route import HeardRoute, ToldFrame
 from uavbatt.telemetry.link.lateness import Lateness
 from uavbatt.telemetry.link.live_row import CONFIRMED_WITHIN_S, LiveRow, heard_twice
 from uavbatt.telemetry.link.speakers import Speakers
@@ -82,6 +82,11 @@ class Vehicle:
         self._sys_status_s = -math.inf
         self._alone_s = 0.0  # time of SYS_STATUS without BATTERY_STATUS of battery 0
         self._spoke_s = -math.inf
+
+    @property
+    def source(self) -> tuple[int, int]:
+        """Return system and component of the autopilot."""
+        return self.system, self.component
 
     @property
     def route(self) -> NavigationListener:
@@ -137,11 +142,23 @@ class Vehicle:
         for name, value in statements_of(pack):
             self._take_statement(name, value, frame)
 
-    def resume(self, earlier: Mapping[str, float], heard: Iterable[RouteFrame] = ()) -> None:
-        """Use parameters and frames of the route that an earlier process heard; what the vehicle tells has priority."""
+    @property
+    def told(self) -> bytes:
+        """Return the frames in which the vehicle told what it may not tell again: parameters, home, mission."""
+        known = self.parameters.known
+        stated = (frame for name, frame in self.words.items() if name.decode("latin-1") in known)
+        return b"".join((*stated, self.heard_route.frames))
+
+    def resume(self, earlier: Mapping[str, float], told: Sequence[ToldFrame] = ()) -> None:
+        """Use parameters, and the frames `told` to an earlier process; what the vehicle tells has priority."""
         self.parameters.resume(earlier)
-        self.heard_route.resume(self.now_s, heard)
+        self.heard_route.resume(self.now_s, told)
         self.route.builder.settings(self.now_s, self.parameters.known)
+        for header, message, frame in told:  # a recording begins with them, too
+            if header.message_id == fields.PARAM_VALUE and (header.system, header.component) == self.source:
+                name, _ = fields.parameter(message, self.is_px4 is True)
+                if name in self.parameters.known:
+                    self.words.setdefault(name.encode("latin-1"), frame)
 
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
