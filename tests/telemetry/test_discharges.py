@@ -116,6 +116,17 @@ def test_a_flight_that_goes_on_through_a_silence_is_one_discharge() -> None:
     assert begins(restarted) == ()  # an autopilot that restarts in the air has no rested row
 
 
+@pytest.mark.parametrize("volts", [0.05, 4.9, NAN], ids=["none", "usb", "unknown"])
+def test_a_pack_that_was_taken_out_under_an_autopilot_with_its_own_supply_is_another(volts: float) -> None:
+    landed, at_s = rested(30, 0.6), FIRST_S + 30.0
+    empty = tuple(replace(landed[-1], time_s=at_s + k, voltage_V=volts, current_A=0.0) for k in range(1, 40))
+    again = tuple(replace(sample, time_s=sample.time_s + 70.0) for sample in rested(30, 0.6))  # at the same voltage
+    air = tuple(replace(sample, time_s=sample.time_s + 200.0 + FIRST_S) for sample in flown(0.6))
+    assert begins(flown(), landed, empty, again, air) == (again[0].time_s,)
+    lost = [replace(s, voltage_V=volts) if 100.0 < s.time_s < 130.0 else s for s in flown()]
+    assert begins(tuple(lost), landed) == ()  # a voltmeter that fails in the air
+
+
 def two_flights(tmp_path: Path, *more: tuple[float, bytes], second_V: float = 16.5) -> Flight:
     """Two minutes of hover, eight of silence, and two minutes with another pack; the counter is not sent."""
     again = [

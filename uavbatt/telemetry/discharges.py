@@ -3,8 +3,8 @@
 Without its pack a vehicle is silent. After a silence another pack, or the same one charged, shows a higher voltage at
 rest than the old one can reach by resting. A counter of charge that has begun again says that the autopilot had no
 power, and then a smaller difference tells, upwards or downwards. So does another serial number of a smart battery. In a
-dock the autopilot speaks on while the pack is charged. A pack that goes on being discharged after a silence or a
-landing is the same discharge.
+dock the autopilot speaks on while the pack is charged, with a supply of its own while no pack is in. A pack that goes
+on being discharged after a silence or a landing is the same discharge.
 
 In flight the model of the battery tells the same sooner (`estimation.pack_change`); a fit has no model yet.
 """
@@ -65,13 +65,15 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
 
     told : serials of the packs, each with the time at which it was told [s]
     """
-    rows = _with_pack(rows)
+    spoken_s, rows = rows.time_s, _with_pack(rows)
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
     least_A = loaded_A(rows.current_A)
     changed_s = [
         begin_s
         for k, silent_s, begin_s in zip(ends.tolist(), *rows.time_s[[ends, ends + 1]].tolist(), strict=True)
-        if _has_other_serial(told, silent_s) or _is_another(rows, k, least_A)
+        if _has_other_serial(told, silent_s)
+        or _is_another(rows, k, least_A)
+        or (_rests(rows, k, least_A) and ((silent_s < spoken_s) & (spoken_s < begin_s)).any())  # no pack in it
     ]
     docked = _docked(rows, least_A)
     charged_s = [begin_s for landed_s, begin_s in docked if not any(landed_s < s <= begin_s for s in changed_s)]
@@ -153,7 +155,8 @@ def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
 def _with_pack(rows: Columns) -> Columns:
     """Return the rows in which the autopilot has its pack: on USB power it speaks on without."""
     volts = rows.voltage_V
-    return rows.at(volts > NO_PACK * np.median(volts))
+    known_V = volts[np.isfinite(volts)]
+    return rows.at(volts > NO_PACK * (np.median(known_V) if known_V.size else np.inf))
 
 
 def _has_other_serial(told: Sequence[tuple[float, str]], silent_s: float) -> bool:
@@ -161,6 +164,11 @@ def _has_other_serial(told: Sequence[tuple[float, str]], silent_s: float) -> boo
     before = [serial for time_s, serial in told if time_s <= silent_s][-1:]
     after = [serial for time_s, serial in told if time_s > silent_s][:1]
     return bool(before and after) and before != after
+
+
+def _rests(rows: Columns, end: int, least_A: float) -> bool:
+    """Return True if the pack is not under load in the row `end` and in the next one; False if no current tells."""
+    return bool((rows.current_A[end : end + 2] < least_A).all())
 
 
 def _is_another(rows: Columns, end: int, least_A: float) -> bool:
