@@ -12,7 +12,7 @@ from factories import generic_pack
 from typer.testing import CliRunner
 
 import uavbatt
-from uavbatt.battery import battery_file
+from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.cli.app import app
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Sample
@@ -158,3 +158,20 @@ def test_a_fleet_has_a_row_for_each(logs: dict[str, Path], tmp_path: Path) -> No
         for column, key in (("duration_s", "duration_s"), ("end_of_flight_s", "end_of_flight_s"), ("rows", "rows")):
             assert float(row[column]) == pytest.approx(told[key])
         assert float(row["error_half_s"]) == pytest.approx(told["scores"][0]["error_s"], abs=0.1)
+
+
+def test_a_log_that_begins_on_usb_power_teaches_as_one_that_does_not(tmp_path: Path) -> None:
+    flown = flight(3)
+    usb = [Sample(float(k), 4.9, 0.0, 25.0, 0.0, armed=False) for k in range(30)]
+    later = [replace(sample, time_s=sample.time_s + 30.0) for sample in flown]
+    for name, samples in (("plain", flown), ("usb", [*usb, *later])):
+        write_log(tmp_path / f"{name}.tlog", samples, generic_pack())
+    plans = [run("plan", "--like", tmp_path / f"{name}.tlog").splitlines() for name in ("plain", "usb")]
+    assert plans[0][0] == plans[1][0]  # cells, capacity, cut-off
+    assert plans[0][3] == plans[1][3]  # endurance
+    files = [tmp_path / f"{name}.vehicle.toml" for name in ("plain", "usb")]
+    for file in files:
+        log = tmp_path / file.name.replace("vehicle.toml", "tlog")
+        run("fit", log, "--cells", 4, "--battery", "lipo-generic", "--vehicle", file)
+    powers = [vehicle_file.read_vehicle(file).phases for file in files]
+    assert powers[0].flight_W == pytest.approx(powers[1].flight_W)

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.navigation import Navigation
 from uavbatt.prediction.load.power_history import RecentLoad
 from uavbatt.prediction.load.scenarios import FlightPoint, LoggedLoad
-from uavbatt.records import NAN, Flight, Sample
+from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.columns import rows_of
@@ -125,6 +125,23 @@ def test_a_pack_that_was_taken_out_under_an_autopilot_with_its_own_supply_is_ano
     assert begins(flown(), landed, empty, again, air) == (again[0].time_s,)
     lost = [replace(s, voltage_V=volts) if 100.0 < s.time_s < 130.0 else s for s in flown()]
     assert begins(tuple(lost), landed) == ()  # a voltmeter that fails in the air
+
+
+def test_a_flight_begins_where_its_pack_is_connected() -> None:
+    """On USB power the autopilot tells 4.9 V: `fit` refused such a log, and `plan --like` planned for two cells."""
+    usb = tuple(Sample(float(k), 4.9, 0.0, 25.0, 0.0, armed=False) for k in range(20))
+    air = tuple(replace(sample, time_s=sample.time_s + 20.0) for sample in flown())
+    log = Flight("a.csv", "csv", (*usb, *air), identity=Identity(battery_serial="A", start_utc_s=1.7e9))
+    (only,) = of_discharges(log)
+    assert (only.source, only.samples) == ("a.csv", air)
+    assert only.identity == Identity(battery_serial="A", start_utc_s=1.7e9 + 20.0)
+    stated = ((0.0, PackFacts(capacity_Ah=5.0, critical_voltage_V=13.2)),)
+    assert describe(replace(log, facts=stated)).reasons == describe(replace(only, facts=stated)).reasons
+    for whole in (replace(log, samples=air), replace(log, samples=(*usb[15:], *air)), replace(log, samples=usb)):
+        (same,) = of_discharges(whole)
+        assert same is whole
+    in_air = replace(log, samples=(*usb, *(s for s in air if s.time_s > 60.0)))  # a voltmeter that begins in the air
+    assert of_discharges(in_air) == (in_air,)
 
 
 def two_flights(tmp_path: Path, *more: tuple[float, bytes], second_V: float = 16.5) -> Flight:

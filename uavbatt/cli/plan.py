@@ -76,6 +76,7 @@ def plan(
     """
     from uavbatt.plan.endurance import TakeOff, make_plan, resolve
     from uavbatt.telemetry import read_log
+    from uavbatt.telemetry.discharges import of_discharges
 
     _check_power(power_w, like, vehicle, mission)
     check_wind(wind, mission)
@@ -83,7 +84,7 @@ def plan(
     files = ResultFiles(summary, report)
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    flight = read_log(like, instance) if like is not None else None
+    flight = of_discharges(read_log(like, instance))[0] if like is not None else None
     with pack_memory.open_memory(packs, pack, only_read=True) as memory:
         known = memory.recalled_now(content)
     options = known.completed(options) if known is not None else options

@@ -19,9 +19,9 @@ class ReplayedFlight(NamedTuple):
 
 
 def flights_of(whole: ReplayedFlight, cutoff_V: float) -> list[ReplayedFlight]:
-    """Return each flight of a replayed log, whose pack has this cut-off [V]; the log as it is if it holds one only."""
+    """Return each flight of a replayed log, whose pack has this cut-off [V]; the log as it is if it is one flight."""
     parts = of_discharges(whole.flight)
-    if len(parts) < 2:
+    if parts[0] is whole.flight:
         return [whole]
     found = []
     for part in parts:

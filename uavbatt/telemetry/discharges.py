@@ -20,14 +20,13 @@ import numpy as np
 
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.columns import Columns
-from uavbatt.telemetry.quality.drawn import loaded_A
+from uavbatt.telemetry.quality.drawn import least_pack_V, loaded_A
 
 SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s in a DataFlash log
 # Voltage after the silence over the highest one before it, from which on the pack is another or was charged: a pack at
 # rest rises by 2 % at most, one that was under load by 7 %. With a counter that has begun again half of it is enough.
 RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
 COUNTER_SLACK_AH = 0.02
-NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
 # The shortest charge between two flights, and the rest by which a voltage has settled.
 DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
@@ -83,10 +82,10 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
 def of_discharges(flight: Flight) -> tuple[Flight, ...]:
     """Return each discharge of a log with a flight in it, as a flight of its own; the whole log if it is one only.
 
-    Times stay those of the log.
+    Times stay those of the log. Rows without a pack at the log's beginning are left out.
     """
     if not flight.discharges:
-        return (flight,)
+        return (_since_its_pack(flight),)
     edges_s = [-np.inf, *(time_s for time_s, _ in flight.discharges), np.inf]
     serials = [flight.identity.battery_serial, *(serial for _, serial in flight.discharges)]
     found = [
@@ -107,6 +106,22 @@ def discharge_notes(discharges: Sequence[tuple[float, str]]) -> list[str]:
         return []
     times = " and ".join(f"{time_s:.0f} s" for time_s, _ in discharges)
     return [f"the pack was changed or charged before {times}: each flight is judged by itself"]
+
+
+def _since_its_pack(flight: Flight) -> Flight:
+    """Return the flight from the row on in which its pack was connected; the same flight if that is at its beginning.
+
+    An autopilot on USB power tells a voltage as well, which is not that of its pack.
+    """
+    volts = np.array([sample.voltage_V for sample in flight.samples])
+    is_pack = volts > least_pack_V(volts)
+    first = int(np.argmax(is_pack))
+    before, samples = flight.samples[:first], flight.samples[first:]
+    is_usb = is_pack.any() and np.isfinite(volts[:first]).any() and samples[0].time_s - before[0].time_s > SILENCE_S
+    if not is_usb or samples[0].current_A > loaded_A(np.array([sample.current_A for sample in flight.samples])):
+        return flight
+    who = replace(flight.identity, start_utc_s=flight.identity.start_utc_s + samples[0].time_s)
+    return replace(flight, samples=samples, duration_s=samples[-1].time_s - samples[0].time_s, identity=who)
 
 
 def _between(flight: Flight, begin_s: float, end_s: float, serial: str) -> Flight:
@@ -154,9 +169,7 @@ def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
 
 def _with_pack(rows: Columns) -> Columns:
     """Return the rows in which the autopilot has its pack: on USB power it speaks on without."""
-    volts = rows.voltage_V
-    known_V = volts[np.isfinite(volts)]
-    return rows.at(volts > NO_PACK * (np.median(known_V) if known_V.size else np.inf))
+    return rows.at(rows.voltage_V > least_pack_V(rows.voltage_V))
 
 
 def _has_other_serial(told: Sequence[tuple[float, str]], silent_s: float) -> bool:

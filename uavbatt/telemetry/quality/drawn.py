@@ -1,4 +1,4 @@
-"""Charge and energy that a flight drew, and the current above which it is under load: the one place that integrates."""
+"""Charge and energy that a flight drew (the one place that integrates); which rows are under load, or with a pack."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from uavbatt.telemetry.columns import Columns
 
 LONGEST_STEP_S = 30.0
 LOADED_SHARE = 1.0 / 3.0  # share of the flight's high current
+NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
 
 
 class DrawnCharge(NamedTuple):
@@ -76,3 +77,12 @@ def loaded_A(current_A: NDArray[np.float64]) -> float:
     drawn = np.cumsum(np.maximum(known_A, 0.0))
     half_A = known_A[np.searchsorted(drawn, 0.5 * drawn[-1])]
     return LOADED_SHARE * float(max(np.percentile(known_A, 90), half_A))
+
+
+def least_pack_V(voltage_V: NDArray[np.float64]) -> float:
+    """Return the voltage [V] below which a row is without a pack; infinite if no voltage is known.
+
+    An autopilot on USB power, or with a supply of its own, speaks on while its pack is out.
+    """
+    known_V = voltage_V[np.isfinite(voltage_V)]
+    return NO_PACK * float(np.median(known_V)) if known_V.size else math.inf
