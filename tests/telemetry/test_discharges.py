@@ -137,11 +137,21 @@ def test_a_flight_begins_where_its_pack_is_connected() -> None:
     assert only.identity == Identity(battery_serial="A", start_utc_s=1.7e9 + 20.0)
     stated = ((0.0, PackFacts(capacity_Ah=5.0, critical_voltage_V=13.2)),)
     assert describe(replace(log, facts=stated)).reasons == describe(replace(only, facts=stated)).reasons
-    for whole in (replace(log, samples=air), replace(log, samples=(*usb[15:], *air)), replace(log, samples=usb)):
+    for whole in (replace(log, samples=air), replace(log, samples=usb)):
         (same,) = of_discharges(whole)
         assert same is whole
-    in_air = replace(log, samples=(*usb, *(s for s in air if s.time_s > 60.0)))  # a voltmeter that begins in the air
-    assert of_discharges(in_air) == (in_air,)
+
+
+@pytest.mark.parametrize("volts", [4.9, 0.05])
+def test_a_flight_ends_where_its_pack_is_taken_out(volts: float) -> None:
+    landed = rested(30, 0.6)
+    empty = tuple(Sample(FIRST_S + 31.0 + k, volts, 0.0, 25.0, 1.0, armed=False) for k in range(5))
+    flight = (*flown(), *landed)
+    (only,) = of_discharges(Flight("a.csv", "csv", (*flight, *empty)))
+    assert (only.samples, only.duration_s) == (flight, flight[-1].time_s)
+    again = tuple(replace(sample, time_s=sample.time_s + 400.0) for sample in (*flight, *empty))
+    log = Flight("a.csv", "csv", (*flight, *empty, *again), discharges=((again[0].time_s, ""),))
+    assert [part.samples for part in of_discharges(log)] == [flight, again[: -len(empty)]]
 
 
 def two_flights(tmp_path: Path, *more: tuple[float, bytes], second_V: float = 16.5) -> Flight:

@@ -82,14 +82,14 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
 def of_discharges(flight: Flight) -> tuple[Flight, ...]:
     """Return each discharge of a log with a flight in it, as a flight of its own; the whole log if it is one only.
 
-    Times stay those of the log. Rows without a pack at the log's beginning are left out.
+    Times stay those of the log. Rows without a pack are left out at the beginning and at the end of each.
     """
     if not flight.discharges:
-        return (_since_its_pack(flight),)
+        return (with_its_pack(flight),)
     edges_s = [-np.inf, *(time_s for time_s, _ in flight.discharges), np.inf]
     serials = [flight.identity.battery_serial, *(serial for _, serial in flight.discharges)]
     found = [
-        _between(flight, begin_s, end_s, serial)
+        with_its_pack(_between(flight, begin_s, end_s, serial))
         for (begin_s, end_s), serial in zip(pairwise(edges_s), serials, strict=True)
     ]
     least_A = loaded_A(np.array([sample.current_A for sample in flight.samples]))
@@ -108,19 +108,24 @@ def discharge_notes(discharges: Sequence[tuple[float, str]]) -> list[str]:
     return [f"the pack was changed or charged before {times}: each flight is judged by itself"]
 
 
-def _since_its_pack(flight: Flight) -> Flight:
-    """Return the flight from the row on in which its pack was connected; the same flight if that is at its beginning.
+def with_its_pack(flight: Flight) -> Flight:
+    """Return the flight without the rows before its pack was connected and after it was taken out.
 
-    An autopilot on USB power tells a voltage as well, which is not that of its pack.
+    It is the same flight if there are none. On USB power, or with a supply of its own, an autopilot tells a voltage
+    then as well: one of 5 V made lithium-ion cells of LiPo cells in a fit.
     """
     volts = np.array([sample.voltage_V for sample in flight.samples])
-    is_pack = volts > least_pack_V(volts)
-    first = int(np.argmax(is_pack))
-    before, samples = flight.samples[:first], flight.samples[first:]
-    is_usb = is_pack.any() and np.isfinite(volts[:first]).any() and samples[0].time_s - before[0].time_s > SILENCE_S
-    if not is_usb or samples[0].current_A > loaded_A(np.array([sample.current_A for sample in flight.samples])):
+    least_V = least_pack_V(volts)
+    places, others = np.flatnonzero(volts > least_V), np.flatnonzero(volts <= least_V)
+    if not places.size:
         return flight
-    who = replace(flight.identity, start_utc_s=flight.identity.start_utc_s + samples[0].time_s)
+    first = int(places[0]) if (others < places[0]).any() else 0
+    last = int(places[-1]) if (others > places[-1]).any() else len(volts) - 1
+    if (first, last) == (0, len(volts) - 1):
+        return flight
+    samples = flight.samples[first : last + 1]
+    later_s = samples[0].time_s - flight.samples[0].time_s
+    who = replace(flight.identity, start_utc_s=flight.identity.start_utc_s + later_s)
     return replace(flight, samples=samples, duration_s=samples[-1].time_s - samples[0].time_s, identity=who)
 
 
