@@ -51,6 +51,23 @@ def test_a_pack_that_rests_after_a_flight_is_the_same(
         assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
 
 
+@pytest.mark.parametrize(("cells", "usb_V"), [(3, 5.2), (4, 4.9), (6, 5.0)])
+def test_the_voltage_of_usb_power_is_no_pack(cells: int, usb_V: float) -> None:
+    """The crew was told on the ground that the pack holds less than stated, and that its voltage is another make's."""
+    pack = Pack(cells=cells)
+    rows = rested(pack, 20, 0.0)
+    powers_W = itertools.islice(Power(75.0 * cells).rows_W(3), 300)
+    rows += drawn(pack, powers_W, 20.0, rows[-1].consumed_Ah, cutoff_V=3.0 * cells).rows
+    rows += rested(pack, 20, rows[-1].time_s + 1.0, rows[-1].consumed_Ah)
+    usb = [replace(rows[-1], time_s=rows[-1].time_s + k, voltage_V=usb_V, current_A=0.0) for k in range(1, 60)]
+    judge = generic_estimator(replace(STATED, cells=cells, cutoff_V=3.3 * cells), period_s=60.0)
+    (told, _), *out = list(judge.run([*rows, *usb]))[len(rows) - 1 :]
+    for estimate, _ in out:
+        assert estimate.reason == "no voltage in this row"
+        assert set(estimate.warnings) <= set(told.warnings)
+        assert math.isnan(estimate.voltage_V)
+
+
 def charged(charger_A: float) -> tuple[list[Sample], list[Sample]]:
     """Two flights of one pack, charged between them in a dock; and the second flight alone.
 

@@ -61,6 +61,19 @@ def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
     assert math.exp(record.told.log_ohm) == pytest.approx(type_ohm(PACK) * GROWN / FADED, rel=0.10)
 
 
+@pytest.mark.parametrize("volts", [0.05, 4.9, 5.2])
+def test_the_rows_after_a_pack_was_taken_out_teach_nothing_of_it(emptied, record, volts: float) -> None:
+    """On USB power: a pack of 4.5 Ah was remembered with 3.1 Ah."""
+    landed = [replace(emptied.samples[-1], current_A=0.0, armed=False)] * 30
+    out = tuple(
+        replace(sample, time_s=sample.time_s + k, voltage_V=volts if k > 10 else sample.voltage_V + 0.3)
+        for k, sample in enumerate(landed, start=1)
+    )
+    found = remembering.flight_for_ledger(BATTERY, OPTIONS, replace(emptied, samples=(*emptied.samples, *out))).record
+    assert found.told.log_Ah == pytest.approx(record.told.log_Ah, abs=0.02)
+    assert found.duration_s == emptied.duration_s + 10.0
+
+
 @pytest.mark.parametrize("weakest", [1, 3])
 def test_the_weak_cell_of_a_flight_is_counted_from_one(weakest: int) -> None:
     """Of the last third of the rows, where a weak cell shows."""

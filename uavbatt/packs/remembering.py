@@ -28,6 +28,7 @@ from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Sample
+from uavbatt.telemetry.discharges import with_its_pack
 from uavbatt.telemetry.quality.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
@@ -79,6 +80,7 @@ def flight_for_ledger(
     """
     if is_in_future(flight.identity.start_utc_s, now_utc_s):
         return FlightForLedger(None, future_words(flight.identity.start_utc_s))
+    flight = with_its_pack(flight)
     options, rows = of_known_cells(options, before), _metered(flight)
     last_loaded = _last_loaded(rows)
     if not rows:
