@@ -6,6 +6,7 @@ of at most LONGEST_STEP_S with interpolated current, and only the real rows are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,7 +22,7 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.output import counted
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.cleaning.cleaner import Cleaner
-from uavbatt.telemetry.cleaning.readings import BOARD_START_C
+from uavbatt.telemetry.cleaning.readings import BOARD_START_C, HIGHEST_READING_V
 
 BIN_S = 5.0
 FINE_SHARE, SLOW_SHARE = 0.9, 1.1  # of BIN_S: rows every 5 s, more or less, are as good as bins
@@ -121,21 +122,23 @@ def from_flight(
 ) -> ObservedRecord:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
-    A temperature that a replay would not use (impossible, of a board, of the motor controllers) counts as not measured.
-    Rows of the same time are replaced by their mean, because a slope between them would divide by zero.
+    A voltage that a replay would not use (a lost meter), or that no cell can have, counts as not measured. So does a
+    temperature that a replay would not use: impossible, of a board, of the motor controllers. Rows of the same time are
+    replaced by their mean, because a slope between them would divide by zero.
 
     hottest_start_C : highest first temperature of a sensor in the pack [°C]; a diagnosis allows any cell temperature,
     as the sensor itself may be wrong
     """
-    rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
+    metered = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
+    cleaner, rows, temp_C = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(math.inf)), [], []
+    for row in metered:
+        cleaner, cleaned = cleaner.clean(row, cells=cells)
+        if cleaned.voltage_V < cells * HIGHEST_READING_V:
+            rows.append(row)
+            temp_C.append(cleaned.temp_C)
     if len(rows) < LEAST_ROWS:
         reason = f"{counted(len(rows), 'row')} with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {reason}")
-    cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(rows[-1].time_s))
-    temp_C = []
-    for row in rows:
-        cleaner, cleaned = cleaner.clean(row)
-        temp_C.append(cleaned.temp_C)
     record = ObservedRecord(
         name=flight.source,
         time_s=np.array([s.time_s for s in rows]),

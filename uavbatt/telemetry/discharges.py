@@ -20,7 +20,7 @@ import numpy as np
 
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.columns import Columns
-from uavbatt.telemetry.quality.drawn import least_pack_V, loaded_A
+from uavbatt.telemetry.quality.drawn import loaded_A, with_pack
 
 SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s in a DataFlash log
 # Voltage after the silence over the highest one before it, from which on the pack is another or was charged: a pack at
@@ -55,7 +55,7 @@ def last_row_s(rows: Columns, begin_s: float) -> float:
     """
     if begin_s == np.inf:
         return np.inf
-    time_s = _with_pack(rows).time_s
+    time_s = rows.time_s[with_pack(rows.voltage_V, rows.current_A)]
     return float(time_s[time_s < begin_s][-1])
 
 
@@ -64,7 +64,7 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
 
     told : serials of the packs, each with the time at which it was told [s]
     """
-    spoken_s, rows = rows.time_s, _with_pack(rows)
+    spoken_s, rows = rows.time_s, rows.at(with_pack(rows.voltage_V, rows.current_A))
     ends = np.flatnonzero(np.diff(rows.time_s) > SILENCE_S)
     least_A = loaded_A(rows.current_A)
     changed_s = [
@@ -114,9 +114,9 @@ def with_its_pack(flight: Flight) -> Flight:
     It is the same flight if there are none. On USB power, or with a supply of its own, an autopilot tells a voltage
     then as well: one of 5 V made lithium-ion cells of LiPo cells in a fit.
     """
-    volts = np.array([sample.voltage_V for sample in flight.samples])
-    least_V = least_pack_V(volts)
-    places, others = np.flatnonzero(volts > least_V), np.flatnonzero(volts <= least_V)
+    rows = np.array([(sample.voltage_V, sample.current_A) for sample in flight.samples]).reshape(-1, 2)
+    volts, has_pack = rows[:, 0], with_pack(*rows.T)
+    places, others = np.flatnonzero(has_pack), np.flatnonzero(np.isfinite(volts) & ~has_pack)
     if not places.size:
         return flight
     first = int(places[0]) if (others < places[0]).any() else 0
@@ -170,11 +170,6 @@ def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:
             settled_V = float(np.median(rows.voltage_V[after]))
             if settled_V > RESTED * float(np.median(rows.voltage_V[before])):
                 yield landed_s, float(rows.time_s[np.argmax(after)])
-
-
-def _with_pack(rows: Columns) -> Columns:
-    """Return the rows in which the autopilot has its pack: on USB power it speaks on without."""
-    return rows.at(rows.voltage_V > least_pack_V(rows.voltage_V))
 
 
 def _has_other_serial(told: Sequence[tuple[float, str]], silent_s: float) -> bool:

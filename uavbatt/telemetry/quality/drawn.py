@@ -15,7 +15,7 @@ from uavbatt.telemetry.columns import Columns
 
 LONGEST_STEP_S = 30.0
 LOADED_SHARE = 1.0 / 3.0  # share of the flight's high current
-NO_PACK = 0.5  # of the usual voltage: a lower one is not that of the pack
+LEAST_AT_REST, LEAST_LOADED = 0.7, 0.5  # of the usual voltage: a lower one is not that of a pack
 
 
 class DrawnCharge(NamedTuple):
@@ -79,10 +79,13 @@ def loaded_A(current_A: NDArray[np.float64]) -> float:
     return LOADED_SHARE * float(max(np.percentile(known_A, 90), half_A))
 
 
-def least_pack_V(voltage_V: NDArray[np.float64]) -> float:
-    """Return the voltage [V] below which a row is without a pack; infinite if no voltage is known.
+def with_pack(voltage_V: NDArray[np.float64], current_A: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return True for each row in which the voltage is that of a pack.
 
-    An autopilot on USB power, or with a supply of its own, speaks on while its pack is out.
+    An autopilot on USB power, or with a supply of its own, speaks on while its pack is out, and a voltmeter may rise
+    slowly when the pack is connected. Under load an emptied pack may be low.
     """
     known_V = voltage_V[np.isfinite(voltage_V)]
-    return NO_PACK * float(np.median(known_V)) if known_V.size else math.inf
+    usual_V = float(np.median(known_V)) if known_V.size else math.inf
+    least = np.where(current_A < loaded_A(current_A), LEAST_AT_REST, LEAST_LOADED)
+    return np.asarray(voltage_V > least * usual_V)

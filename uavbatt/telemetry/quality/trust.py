@@ -23,7 +23,7 @@ from uavbatt.limits import (
 )
 from uavbatt.output import counted
 from uavbatt.records import Flight, PackFacts
-from uavbatt.telemetry.quality.drawn import DrawnCharge, least_pack_V
+from uavbatt.telemetry.quality.drawn import DrawnCharge, with_pack
 
 _YES, _CARE, _NO = 0, 1, 2
 _WORDS = {_YES: "yes", _CARE: "with care", _NO: "no"}
@@ -115,8 +115,9 @@ def _voltage(found: LogFigures) -> Iterator[Finding]:
     elif found.sag_correlation > _LOOSE_SAG:
         correlation = f"correlation {found.sag_correlation:.2f}"
         yield _CARE, f"voltage hardly follows current ({correlation}): not simultaneous, or sag-compensated"
-    least_V = least_pack_V(np.array([s.voltage_V for s in found.flight.samples]))
-    known = [s for s in found.flight.samples if s.voltage_V > least_V]
+    samples = found.flight.samples
+    has_pack = with_pack(np.array([s.voltage_V for s in samples]), np.array([s.current_A for s in samples]))
+    known = [sample for sample, has in zip(samples, has_pack.tolist(), strict=True) if has]
     if known:
         told = told_cells(known[0].cell_voltages_V, known[0].voltage_V)
         yield from _statements(found.facts, [s.voltage_V for s in known], told)
