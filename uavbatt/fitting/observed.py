@@ -122,9 +122,8 @@ def from_flight(
 ) -> ObservedRecord:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
-    A voltage that a replay would not use (a lost meter), or that no cell can have, counts as not measured. So does a
-    temperature that a replay would not use: impossible, of a board, of the motor controllers. Rows of the same time are
-    replaced by their mean, because a slope between them would divide by zero.
+    A voltage that no cell can have, and readings that a replay would not use (of a lost voltmeter, of a board), count
+    as not measured. Rows of the same time are replaced by their mean: a slope between them would divide by zero.
 
     hottest_start_C : highest first temperature of a sensor in the pack [°C]; a diagnosis allows any cell temperature,
     as the sensor itself may be wrong

@@ -1,15 +1,15 @@
 """Cleaning of telemetry before the filter uses it; a `Cleaner` is a value that is replaced at each row.
 
 A voltage that leaps between two rows is not used until a second row repeats it. A pack whose voltage was read, and that
-then shows less than 1 V a cell, has lost its meter or was taken out: that voltage is not used. The same holds in the
-air for a voltage that falls within a second below 3 V a cell, by more than 1 V a cell, under an unchanged current: no
-discharge does that. A fall that one failing cell explains is used. The voltage is used again from 3 V a cell on. A
-temperature that a cell cannot have, or that starts as hot as a circuit board, is not used. A current that no pack of
-the size can give is not used: with it the model would overflow. A current that leaps while the voltage stays where it
-was is not used for up to 2 s, and a rise not for up to 10 s, the longer the larger it is: it is a fault of the sensor,
-or the voltage is late. The voltage may have moved before it: then the current is late. A current that is missing for up
-to 5 s is held. Without a current sensor the current is worked out from the power that the operator stated, or from a
-typical power, and the filter gives it a wide error.
+then shows less than 1 V a cell (disarmed less than 1.8 V), has lost its meter or was taken out: that voltage is not
+used. The same holds in the air for a voltage that falls within a second below 3 V a cell, by more than 1 V a cell,
+under an unchanged current: no discharge does that. A fall that one failing cell explains is used. The voltage is used
+again from 3 V a cell on. A temperature that a cell cannot have, or that starts as hot as a circuit board, is not used.
+A current that no pack of the size can give is not used: with it the model would overflow. A current that leaps while
+the voltage stays where it was is not used for up to 2 s, and a rise not for up to 10 s, the longer the larger it is: it
+is a fault of the sensor, or the voltage is late. The voltage may have moved before it: then the current is late. A
+current that is missing for up to 5 s is held. Without a current sensor the current is worked out from the power that
+the operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
