@@ -46,6 +46,14 @@ def flown(folder: Path, told_total: int = 0) -> Bench:
     return bench
 
 
+def tell_two_items(bench: Bench) -> None:
+    """The autopilot tells another mission to a station."""
+    bench.send(dialect.MAVLink_mission_count_message(255, 190, 2))
+    for seq in range(2):
+        bench.send(item(seq, (255, 190)))
+    bench.daemon.turn()
+
+
 def serial(uid: int) -> Any:
     """AUTOPILOT_VERSION with the serial number of the autopilot."""
     return dialect.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid)
@@ -96,14 +104,32 @@ def test_what_the_vehicle_tells_itself_has_priority(tmp_path: Path) -> None:
     bench = Bench(start_s=before.now_s + 3.0, state=section(tmp_path))
     bench.send(heartbeat(True, 3))
     bench.send(dialect.MAVLink_home_position_message(471000000, 80000000, 400_000, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0))
-    bench.send(dialect.MAVLink_mission_count_message(255, 190, 2))
-    bench.send(item(0, (255, 190)))
-    bench.send(item(1, (255, 190)))
+    tell_two_items(bench)
     for k in range(44, 47):
         second(bench, k)
     now = reader(bench).navigation
     assert now.home is not None and now.home.lat_deg == pytest.approx(47.1)
     assert now.mission is not None and len(now.mission.items) == 2
+
+
+def test_a_home_that_is_heard_anew_does_not_cost_the_mission(tmp_path: Path) -> None:
+    before = flown(tmp_path)
+    bench = Bench(PackOptions(), start_s=before.now_s + 3.0, state=section(tmp_path))
+    bench.send(heartbeat(True, 3))
+    bench.send(HOME_POSITION)
+    for k in range(44, 47):
+        second(bench, k)
+    assert reader(bench).navigation.mission == reader(before).navigation.mission
+
+
+def test_only_the_last_mission_is_kept(tmp_path: Path) -> None:
+    bench = flown(tmp_path)
+    vehicle = reader(bench).followed
+    assert vehicle is not None
+    once = vehicle.told
+    upload(bench)
+    tell_two_items(bench)
+    assert len(vehicle.told) < len(once)
 
 
 @pytest.mark.parametrize("when", ["before the restart", "after it"])
