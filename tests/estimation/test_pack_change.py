@@ -68,6 +68,18 @@ def test_the_voltage_of_usb_power_is_no_pack(cells: int, usb_V: float) -> None:
         assert math.isnan(estimate.voltage_V)
 
 
+def test_an_open_input_before_the_pack_is_connected_is_no_pack() -> None:
+    """At each start without a pack the crew was told that the count of cells does not fit it."""
+    pack = rested(Pack(), 20, 30.0)
+    bare = [replace(pack[0], time_s=float(k), voltage_V=0.05, current_A=0.0) for k in range(30)]
+    judge = generic_estimator(replace(STATED, cells=None), period_s=60.0)
+    for estimate, _ in judge.run(bare):
+        assert (estimate.reason, estimate.warnings) == ("no voltage in this row", ())
+    *_, (last, _) = judge.run(pack)
+    assert judge.pack_size is not None and judge.pack_size.cells == 4
+    assert last.soc > 0.95
+
+
 def charged(charger_A: float) -> tuple[list[Sample], list[Sample]]:
     """Two flights of one pack, charged between them in a dock; and the second flight alone.
 

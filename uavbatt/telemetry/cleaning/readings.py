@@ -20,6 +20,7 @@ RISE_S_PER_C, RISE_WITHIN_S = 1.0, 10.0  # the larger a rise, the surer would th
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 CONNECTED_CELL_V = 1.0  # an open input of an autopilot floats below it; no cell of a pack that flies does
+NO_CELL_V = 0.8  # before any pack was seen: an open input
 RESTING_CELL_V = 1.8  # at rest no cell of a pack that flew is below it; USB power shows 1.3 V a cell of 4, 1.8 of 3
 BROKEN_FALL_V = 1.0  # a cell that falls so far below its last seconds, under the same current, has lost its meter
 ONE_CELL = 1.25  # a fall of fewer cells' voltage may be a cell that fails
@@ -52,7 +53,7 @@ class VoltageSeen(NamedTuple):
         if not math.isfinite(voltage_V):
             return self, voltage_V
         least_V = cells * (RESTING_CELL_V if sample.armed is False else CONNECTED_CELL_V)
-        if voltage_V <= 0.0 or voltage_V < least_V <= self.used_V:
+        if voltage_V < (least_V if least_V <= self.used_V else NO_CELL_V):
             return self, NAN
         if self._is_broken_by(sample, cells, leap_A):
             return self._replace(is_broken=True), NAN
