@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,19 @@ def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: l
     assert done.returncode == 0, done.stderr
     assert "no temperature" in done.stdout
     assert "No temperature was measured" in (tmp_path / "d.html").read_text()
+
+
+def test_the_rows_of_a_dead_current_sensor_are_left_out_and_said(tmp_path: Path) -> None:
+    """With 100 s without a current a sound pack seemed to lack an effect without a name."""
+    pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    for i in range(2):
+        flown = simulate_flight(pack, SimulatedFlight(300.0, rate_Hz=1.0, seed=i + 1))
+        dead = [replace(s, current_A=0.01 * (k % 7)) if 200.0 < s.time_s <= 300.0 else s for k, s in enumerate(flown)]
+        write_log(tmp_path / f"{i}.csv", dead, pack)
+    done = called("diagnose", "0.csv", "1.csv", *pack_options(), *WITHOUT, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("no_missing_effect")
+    assert "warning: 0.csv: 200 to 300 s left out: the current fell and the voltage did not rise" in done.stderr
 
 
 def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: Path) -> None:

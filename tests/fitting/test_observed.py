@@ -60,6 +60,17 @@ def test_the_rows_of_a_lost_voltmeter_are_not_compared(volts: float, lost_s: flo
     assert len(kept) - found.time_s.size <= 1  # the first row after it may be doubted
 
 
+def test_a_spike_of_the_current_is_not_compared_and_a_late_climb_is() -> None:
+    flown = tuple(simulate_flight(generic_pack(), SimulatedFlight(300.0, rate_Hz=2.0)))
+    size = (4, 5.0)
+
+    def compared(amps: float) -> int:
+        samples = tuple(replace(s, current_A=amps) if 300.0 < s.time_s <= 303.0 else s for s in flown)
+        return from_flight(Flight("a.csv", "csv", samples), *size).time_s.size
+
+    assert [compared(amps) for amps in (400.0, 100.0, 40.0)] == [len(flown) - 6, len(flown) - 6, len(flown)]
+
+
 @pytest.mark.parametrize(("step_s", "found"), [(0.1, 1), (0.8, 2)])
 def test_rows_within_too_few_steps_are_said_to_be_too_few(tmp_path: Path, step_s: float, found: int) -> None:
     rows = [f"{step_s * k:.1f},{16.4 - 0.01 * k:.2f},20" for k in range(12)]

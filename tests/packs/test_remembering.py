@@ -74,6 +74,18 @@ def test_the_rows_after_a_pack_was_taken_out_teach_nothing_of_it(emptied, record
     assert found.duration_s == emptied.duration_s + 10.0
 
 
+@pytest.mark.parametrize(("failed_s", "is_kept"), [(100.0, False), (5.0, True)])
+def test_a_flight_with_a_failed_sensor_teaches_nothing(emptied, failed_s: float, is_kept: bool) -> None:
+    """With 100 s without a current a pack of 4.9 Ah was remembered with 4.4 Ah."""
+    samples = tuple(
+        replace(sample, current_A=0.1 + 0.01 * (k % 7)) if 200.0 < sample.time_s <= 200.0 + failed_s else sample
+        for k, sample in enumerate(emptied.samples)
+    )
+    found = remembering.flight_for_ledger(BATTERY, OPTIONS, replace(emptied, samples=samples))
+    assert (found.record is not None) is is_kept
+    assert is_kept or "a sensor failed in flight" in found.why_not
+
+
 @pytest.mark.parametrize("weakest", [1, 3])
 def test_the_weak_cell_of_a_flight_is_counted_from_one(weakest: int) -> None:
     """Of the last third of the rows, where a weak cell shows."""

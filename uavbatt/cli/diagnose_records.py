@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uavbatt.cli.logs import of_sound_sensors
 from uavbatt.cli.options import remark
 from uavbatt.errors import NotEnoughData, UsageError, terminal_line
 from uavbatt.limits import FirstVoltages
@@ -76,13 +77,17 @@ def with_known_start(records: list[ObservedRecord]) -> list[ObservedRecord]:
 
 
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecord:
-    """Return the rows of a flight as a record. Raises NotEnoughData if it has no current."""
+    """Return the rows of a flight as a record, without those of failed sensors.
+
+    Raises NotEnoughData if it has no current.
+    """
     from uavbatt.fitting import observed
     from uavbatt.telemetry.cleaning.readings import MAX_CELL_C
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
         raise NotEnoughData(f"{flight.source}: no row has a current, and diagnose needs one")
-    return observed.from_flight(flight, cells, capacity_Ah, hottest_start_C=MAX_CELL_C)
+    sound = of_sound_sensors(flight, cells, capacity_Ah)
+    return observed.from_flight(sound, cells, capacity_Ah, hottest_start_C=MAX_CELL_C)
 
 
 def distinct(flights: list[Flight]) -> list[Flight]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flights
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flights, of_sound_sensors
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -122,14 +122,7 @@ def _size_by(battery: BatteryFile, flight: Flight, stated: PackOptions) -> PackS
 
 def _sound(flight: Flight, size: PackSize | None) -> Flight:
     """Return the flight without the rows of failed sensors, and warn of what is left out."""
-    from uavbatt.fitting.failed_sensors import without_failed
-
-    if size is None:
-        return flight
-    sound, spans = without_failed(flight, size.cells, size.capacity_Ah)
-    for span in spans:
-        remark(f"warning: {flight.source}: {span.after_s:.0f} to {span.until_s:.0f} s left out: {span.reason}")
-    return sound
+    return flight if size is None else of_sound_sensors(flight, size.cells, size.capacity_Ah)
 
 
 def _pack(name: str, datasets: list[DataSet], flights: list[Flight], stated: PackOptions) -> RecordedPack:

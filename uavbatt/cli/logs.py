@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli.options import remark
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -41,6 +42,19 @@ def asked_flights(
     from uavbatt.telemetry.discharges import of_discharges
 
     return [flight for log in logs for flight in of_discharges(asked_flight(log, instance, join, system))]
+
+
+def of_sound_sensors(flight: Flight, cells: int, capacity_Ah: float) -> Flight:
+    """Return the flight without the rows of failed sensors, and warn of what is left out.
+
+    cells : in series; capacity_Ah : of the pack [Ah]
+    """
+    from uavbatt.fitting.failed_sensors import without_failed
+
+    sound, spans = without_failed(flight, cells, capacity_Ah)
+    for span in spans:
+        remark(f"warning: {flight.source}: {span.after_s:.0f} to {span.until_s:.0f} s left out: {span.reason}")
+    return sound
 
 
 def check_join(instance: int | None, join: str) -> None:

@@ -19,10 +19,11 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import LONGEST_STEP_S, Array
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
+from uavbatt.fitting.used_rows import used_rows
 from uavbatt.output import counted
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.cleaning.cleaner import Cleaner
-from uavbatt.telemetry.cleaning.readings import BOARD_START_C, HIGHEST_READING_V
+from uavbatt.telemetry.cleaning.readings import BOARD_START_C
 
 BIN_S = 5.0
 FINE_SHARE, SLOW_SHARE = 0.9, 1.1  # of BIN_S: rows every 5 s, more or less, are as good as bins
@@ -122,19 +123,14 @@ def from_flight(
 ) -> ObservedRecord:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
-    A voltage that no cell can have, and readings that a replay would not use (of a lost voltmeter, of a board), count
-    as not measured. Rows of the same time are replaced by their mean: a slope between them would divide by zero.
+    Readings that a replay would not use count as not measured (`used_rows`). Rows of the same time are replaced by
+    their mean, because a slope between them would divide by zero.
 
     hottest_start_C : highest first temperature of a sensor in the pack [°C]; a diagnosis allows any cell temperature,
     as the sensor itself may be wrong
     """
-    metered = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
-    cleaner, rows, temp_C = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(math.inf)), [], []
-    for row in metered:
-        cleaner, cleaned = cleaner.clean(row, cells=cells)
-        if cleaned.voltage_V < cells * HIGHEST_READING_V:
-            rows.append(row)
-            temp_C.append(cleaned.temp_C)
+    cleaner = Cleaner(hottest_start_C=hottest_start_C).with_facts(flight.facts_at(math.inf))
+    rows, temp_C = used_rows(flight.samples, cleaner, cells, capacity_Ah)
     if len(rows) < LEAST_ROWS:
         reason = f"{counted(len(rows), 'row')} with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {reason}")
