@@ -123,7 +123,7 @@ def _flown(
     run = list(steps(flight, estimator, [one.health for one in packs[1:]]))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
-        return (bad_row(log, job, "expected at least one row with a voltage"),)
+        return (bad_row(log, job, "expected at least one row with the voltage of a pack"),)
     whole = ReplayedFlight(flight, run, outcome(run, pack.cutoff_V, job.settings.reserve_soc))
     flights = flights_of(whole, pack.cutoff_V)
     packs += (NOT_MET,) * (len(flights) - len(packs))  # no ledger knows these

@@ -69,7 +69,7 @@ def estimator_for(
 def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
     """Return cells, capacity [Ah] and cut-off [V] that a replay ran with; UsageError where no row had a voltage."""
     if estimator.pack_size is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+        raise UsageError(f"{flight.source}: expected at least one row with the voltage of a pack")
     return estimator.pack_size
 
 

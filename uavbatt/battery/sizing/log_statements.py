@@ -50,7 +50,7 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, f
     """
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+        raise UsageError(f"{flight.source}: expected at least one row with the voltage of a pack")
     told = told_cells(first.cell_voltages_V, first.voltage_V)
     guess = told or counts_of_cells(battery, options, facts, first.voltage_V, first.current_A)[0]
     source = TOLD_FROM if told else GUESSED_FROM
