@@ -25,7 +25,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.fleet import run
 from uavbatt.fleet.errand import Errand
-from uavbatt.fleet.fly import Job, fly_log, lost_row
+from uavbatt.fleet.fly import Job, fly_log, lost_rows
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
 from uavbatt.fleet.row import LOST, FlightRow
@@ -53,7 +53,7 @@ def waiting(tmp_path: Path) -> LogFile:
 
 def errand(log: LogFile) -> Errand[FlightRow]:
     job = Job(battery_file.read_battery("lipo-generic"), PackOptions())
-    return Errand(log, partial(fly_log, job=job), partial(lost_row, job=job))
+    return Errand(log, partial(fly_log, job=job), partial(lost_rows, job=job))
 
 
 def tree(pid: int) -> list[int]:

@@ -22,8 +22,8 @@ def used_rows(
 ) -> tuple[list[Sample], list[float]]:
     """Return the rows with voltage and current that may be compared, and their temperatures [°C; NaN: not to be used].
 
-    A voltage that a replay would not use, or that no cell can have, counts as not measured; so does a current that no
-    pack of this size gives, or a spike. cells : in series; capacity_Ah : of the pack [Ah]
+    A voltage that a replay would not use, or that no cell can have, counts as not measured; so does a spike of the
+    current (SPIKE). cells : in series; capacity_Ah : of the pack [Ah]
     """
     metered = [s for s in samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     most_A = SPIKE * loaded_A(np.array([sample.current_A for sample in metered]))

@@ -107,7 +107,7 @@ def bad_row(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def lost_row(log: LogFile, reason: str, job: Job) -> tuple[FlightRow]:
+def lost_rows(log: LogFile, reason: str, job: Job) -> tuple[FlightRow]:
     """Return the row of a log whose worker died, which the next run flies again."""
     return (bad_row(log, job, reason, LOST),)
 

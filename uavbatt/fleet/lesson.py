@@ -72,7 +72,7 @@ def learn(log: LogFile, job: Job) -> tuple[Lesson, ...]:
     try:
         return tuple(_lesson(flight, log, job) for flight in of_discharges(read(log, job)))
     except Unreadable as error:
-        return no_lesson(log, str(error))
+        return lost_lessons(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it
         return (Lesson(file=log.name, status=BAD),)
 
@@ -83,6 +83,6 @@ def _lesson(flight: Flight, log: LogFile, job: Job) -> Lesson:
     return Lesson(file=log.name, pack=name, key=key_of(flight.samples), start_utc_s=start_utc_s, taught=record)
 
 
-def no_lesson(log: LogFile, _: str) -> tuple[Lesson]:
+def lost_lessons(log: LogFile, _: str) -> tuple[Lesson]:
     """Return the lesson of a log that could not be read, or whose worker died; the log's row will say why."""
     return (Lesson(file=log.name, status=LOST),)

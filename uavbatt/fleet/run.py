@@ -90,7 +90,7 @@ def learn_all(
     """
 
     def errand(number: int, _: int) -> Errand[tuple[Lesson, ...]]:
-        return Errand(logs[number], partial(lesson.learn, job=job), lesson.no_lesson)
+        return Errand(logs[number], partial(lesson.learn, job=job), lesson.lost_lessons)
 
     keys = _lesson_keys(logs, job)
     with Journal(folder / LESSONS, _numbers(keys), lesson_of) as store:
@@ -121,7 +121,7 @@ def run_fleet(
     def errand(number: int, each: int) -> Errand[tuple[FlightRow, ...]]:
         flight_job = replace(job, flights_each=each)
         work = partial(fly.fly_log, job=flight_job, met=met[number] if met else ())
-        return Errand(logs[number], work, partial(fly.lost_row, job=flight_job))
+        return Errand(logs[number], work, partial(fly.lost_rows, job=flight_job))
 
     keys = _keys(logs, job, met)
     with Journal(folder / JOURNAL, _numbers(keys), row_of) as store:

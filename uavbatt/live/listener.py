@@ -66,7 +66,7 @@ class Listener:
                     self.counts["rejected_signatures"] += 1
                     continue
                 if header.message_id == framing.BATTERY_STATUS:
-                    self._signing[header.system, header.component] = framing.is_signed(frame)
+                    self._signing[header.source] = framing.is_signed(frame)
                 yield HeardFrame(frame, header, sender)
 
     def notes(self) -> list[str]:

@@ -54,6 +54,11 @@ class Header(NamedTuple):
     component: int
     message_id: int
 
+    @property
+    def source(self) -> tuple[int, int]:
+        """Return system and component of the sender."""
+        return self.system, self.component
+
 
 def frame_length(data: bytes, start: int) -> int:
     """Return the length of the frame whose first byte is at `start`; 0: none starts here; -1: too few bytes to tell."""

@@ -50,7 +50,7 @@ class Verifier:
         return found
 
     def _fault(self, frame: bytes, header: framing.Header) -> str:
-        sender = (header.system, header.component)
+        sender = header.source
         if not framing.is_signed(frame):
             return UNSIGNED if sender in self._signing else ""
         body, signature = frame[:-6], frame[-6:]

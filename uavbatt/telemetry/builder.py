@@ -37,7 +37,6 @@ FALLBACK_AFTER_S = 5.0  # until it is clear that no better source of a battery c
 ALONE_AFTER_S = 5.05  # no multiple of a usual period, so that rounding does not decide
 LONGEST_ALONE_S = 2.0  # the longest time that one SYS_STATUS counts for
 BEATING_S = 3.0  # two heartbeats this close are in a row
-ARMED_HOLDS_S = 60.0  # a vehicle that has sent no heartbeat for longer may have landed, and have another pack
 CARRYING = 0.4  # share of the strongest battery's energy; two in parallel give about the same
 
 

@@ -27,6 +27,7 @@ _OTHER_CAPACITY = 0.1  # a parameter further from what the battery states is not
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 _OF_PACK = "BATTERY"
+ARMED_HOLDS_S = 60.0  # a vehicle that has sent no heartbeat for longer may have landed, and have another pack
 BATTERY_NAMES = ("BAT", "FS_BATT", "COM_LOW_BAT")  # how the names of battery parameters begin
 
 
@@ -43,7 +44,7 @@ class HeardParameters:
     The first statement of a parameter counts at once, and so does every change on the ground. In the air a single frame
     may be forged or damaged: there a change of a battery parameter counts when a second frame repeats it. A copy of the
     first frame has its sequence number and is no second one. A frame with the old value ends the doubt. A vehicle whose
-    last heartbeat is older than `builder.ARMED_HOLDS_S` counts as on the ground.
+    last heartbeat is older than ARMED_HOLDS_S counts as on the ground.
     """
 
     def __init__(self) -> None:
@@ -52,14 +53,17 @@ class HeardParameters:
         self.version = 0  # grows with every change
         self._resumed: set[str] = set()  # parameters that only an earlier process heard
 
-    def counts(self, name: str, value: float, sequence: int, is_armed: bool) -> bool:
-        """Process a statement of a parameter; return True if it counts from now on."""
-        was = self.known.get(name)
+    def counts(self, name: str, value: float, sequence: int, *, is_armed: bool, beat_age_s: float) -> bool:
+        """Process a statement of a parameter; return True if it counts from now on.
+
+        sequence : of its frame; is_armed : by the last heartbeat, which came `beat_age_s` [s] before
+        """
+        was, is_in_air = self.known.get(name), is_armed and beat_age_s <= ARMED_HOLDS_S
         if was is not None and _is_same(was, value):
             self.doubted.pop(name, None)
             self._resumed.discard(name)
             return True
-        if was is not None and is_armed and name.startswith(BATTERY_NAMES):
+        if was is not None and is_in_air and name.startswith(BATTERY_NAMES):
             doubt = self.doubted.get(name)
             if doubt is None or not _is_same(doubt.value, value) or doubt.sequence == sequence:
                 self.doubted[name] = HeardOnce(value, sequence)

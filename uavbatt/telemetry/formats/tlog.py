@@ -20,7 +20,6 @@ from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry.builder import (
     ALONE_AFTER_S,
-    ARMED_HOLDS_S,
     BEATING_S,
     CLOCK_GAP_S,
     LEAP_S,
@@ -178,8 +177,9 @@ def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuil
     stated.sort(key=lambda one: one[0])
     last = latest_before(np.array([at + 1 for at, _, _ in stated], np.int64), beats.place).tolist()
     for (at, sequence, (name, value)), beat in zip(stated, last, strict=True):
-        is_armed = beat >= 0 and beats.armed[beat] and time_s[at] - time_s[beats.place[beat]] <= ARMED_HOLDS_S
-        if heard.counts(name, finite_or_nan(value), sequence, bool(is_armed)):
+        is_armed = beat >= 0 and bool(beats.armed[beat])
+        beat_age_s = float(time_s[at] - time_s[beats.place[beat]]) if beat >= 0 else math.inf
+        if heard.counts(name, finite_or_nan(value), sequence, is_armed=is_armed, beat_age_s=beat_age_s):
             log.add_parameter(float(time_s[at]), name, value)
 
 

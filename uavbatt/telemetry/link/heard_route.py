@@ -27,12 +27,13 @@ class ToldFrame(NamedTuple):
 class HeardRoute:
     """HeardRoute passes messages about the route on to a `NavigationListener`, and keeps the frames that told it last.
 
-    words : the vehicle's frames by key, to which those of home and mission are added
+    source : system and component of the autopilot; words : the vehicle's frames by key, to which those of home and
+    mission are added
     """
 
-    def __init__(self, system: int, component: int, own_component: int | None, words: dict[bytes, bytes]) -> None:
-        self._source, self._words = (system, component), words
-        self._own = None if own_component is None else (system, own_component)
+    def __init__(self, source: tuple[int, int], own_component: int | None, words: dict[bytes, bytes]) -> None:
+        self._source, self._words = source, words
+        self._own = None if own_component is None else (source[0], own_component)
         self.listener = NavigationListener(own=self._own)
         self._in_transfer: list[bytes] = []  # frames of the mission transfer that is open
 
@@ -67,7 +68,7 @@ class HeardRoute:
         for header, message, frame in heard:
             if has_home if header.message_id == HOME_POSITION else has_mission:
                 continue
-            if (header.system, header.component) == self._source and header.message_id in OF_AUTOPILOT:
+            if header.source == self._source and header.message_id in OF_AUTOPILOT:
                 self.take(time_s, header.message_id, message, frame)
             elif header.message_id in OF_OTHERS:
                 self.take_other(time_s, header.message_id, message, frame)

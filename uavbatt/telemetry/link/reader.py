@@ -184,7 +184,7 @@ class LiveReader:
                 return NOTHING
             if header.message_id in _TOLD_BY:
                 self._hear(header, message)
-        vehicle = self._vehicles.get((header.system, header.component))
+        vehicle = self._vehicles.get(header.source)
         if vehicle is None:
             taken = self._of_component(header, stamp_s, message, frame, sender)
             return taken if taken is not None else self._of_a_part(header, stamp_s, message, frame)
@@ -225,7 +225,7 @@ class LiveReader:
         """Process a battery component's BATTERY_STATUS; None if it does not count but is of a part of the vehicle."""
         if header.message_id != fields.BATTERY_STATUS:
             return None
-        source = (header.system, header.component)
+        source = header.source
         in_turn = (vehicle for vehicle in (self.followed, *self._vehicles.values()) if vehicle is not None)
         vehicle = next((vehicle for vehicle in in_turn if vehicle.system == header.system), None)
         speakers = self._components.speakers(source)
@@ -256,7 +256,7 @@ class LiveReader:
 
     def _hear(self, header: framing.Header, message: Any) -> None:
         """Add an autopilot when it is recognised: by its heartbeat, or by certain messages of component 1."""
-        source = (header.system, header.component)
+        source = header.source
         if source in self._vehicles:
             return
         system, component = self._asked

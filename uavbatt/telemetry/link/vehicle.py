@@ -22,14 +22,7 @@ from typing import Any
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import (
-    ALONE_AFTER_S,
-    ARMED_HOLDS_S,
-    BEATING_S,
-    FALLBACK_AFTER_S,
-    LONGEST_ALONE_S,
-    LogBuilder,
-)
+from uavbatt.telemetry.builder import ALONE_AFTER_S, BEATING_S, FALLBACK_AFTER_S, LONGEST_ALONE_S, LogBuilder
 from uavbatt.telemetry.cleaning.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.identity import stated_serial
 from uavbatt.telemetry.link.heard_route import HeardRoute, ToldFrame
@@ -61,7 +54,7 @@ class Vehicle:
         self.parameters = HeardParameters()
         self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
-        self.heard_route = HeardRoute(system, component, own_component, self.words)
+        self.heard_route = HeardRoute(self.source, own_component, self.words)
         self.battery_ids: set[int] = set()
         self.is_px4: bool | None = None  # until the first heartbeat
         self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
@@ -155,7 +148,7 @@ class Vehicle:
         self.heard_route.resume(self.now_s, told)
         self.route.builder.settings(self.now_s, self.parameters.known)
         for header, message, frame in told:  # a recording begins with them, too
-            if header.message_id == fields.PARAM_VALUE and (header.system, header.component) == self.source:
+            if header.message_id == fields.PARAM_VALUE and header.source == self.source:
                 name, _ = fields.parameter(message, self.is_px4 is True)
                 if name in self.parameters.known:
                     self.words.setdefault(name.encode("latin-1"), frame)
@@ -212,8 +205,9 @@ class Vehicle:
         if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
             return
         value = value if math.isfinite(value) else math.nan
-        is_armed = self._log.armed is True and self.now_s - self._beat_s <= ARMED_HOLDS_S
-        counts = self.parameters.counts(name, value, framing.sequence(frame), is_armed)
+        is_armed, beat_age_s = self._log.armed is True, self.now_s - self._beat_s
+        sequence = framing.sequence(frame)
+        counts = self.parameters.counts(name, value, sequence, is_armed=is_armed, beat_age_s=beat_age_s)
         if counts:
             self.route.builder.parameter(self.now_s, name, value)
         if counts and (name.startswith(BATTERY_NAMES) or name in NAMES):
