@@ -20,7 +20,8 @@ from uavbatt import dataset, output
 from uavbatt.battery import battery_file, sections, vehicle_file
 from uavbatt.battery.effects import EFFECTS, unit_words
 from uavbatt.cli.app import app
-from uavbatt.dataset_csv import COLUMNS as DISCHARGE_COLUMNS
+from uavbatt.dataset import folder
+from uavbatt.dataset.discharge_csv import COLUMNS as DISCHARGE_COLUMNS
 from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.refit.residual import Shape
 from uavbatt.fleet.row import COLUMNS as FLEET_COLUMNS
@@ -104,9 +105,9 @@ def test_the_data_set_of_the_page_is_read(tmp_path: Path) -> None:
 
 
 def test_the_keys_of_a_data_set() -> None:
-    assert sorted(documented("Discharge data set")) == sorted(keys_of(dataset._Battery))
+    assert sorted(documented("Discharge data set")) == sorted(keys_of(folder._Battery))
     assert documented("Discharge data set", 1) == list(DISCHARGE_COLUMNS)
-    assert sorted(documented("Discharge data set", 2)) == sorted(keys_of(dataset._Flags))
+    assert sorted(documented("Discharge data set", 2)) == sorted(keys_of(folder._Flags))
 
 
 def test_the_telemetry_csv(tmp_path: Path) -> None:

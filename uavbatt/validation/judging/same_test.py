@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from uavbatt.dataset import DataSet
-from uavbatt.dataset_checks import charge_Ah
-from uavbatt.dataset_csv import Array, Run
+from uavbatt.dataset.checks import charge_Ah
+from uavbatt.dataset.records import Array, Run
 from uavbatt.fitting.observed import MAD_TO_SD
 from uavbatt.validation.judging.finding import Finding
 from uavbatt.validation.judging.readings import Readings

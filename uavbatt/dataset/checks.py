@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavbatt.dataset_csv import Run
+from uavbatt.dataset.records import Run
 from uavbatt.errors import BadInput
 from uavbatt.limits import C_RATE
 

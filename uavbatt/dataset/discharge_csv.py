@@ -12,45 +12,20 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavbatt.dataset.records import Array, Run
 from uavbatt.errors import BadInput
 
-Array = NDArray[np.float64]
 COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "surface_c")
 MIN_POINTS = 3
 CELL_RANGE_V = (0.5, 5.0)
 LEAST_HIGHEST_CELL_V = 2.2  # every flying cell shows more at some time; half a full LiPo cell is less
 MOST_EMPTY = 0.2  # share of a run's currents that may be read from their neighbours
 TEMP_RANGE_C = {"ambient_c": (-80.0, 70.0), "surface_c": (-80.0, 150.0)}
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Run holds one discharge. NaN = not measured; positive current discharges."""
-
-    sample: str
-    run: int
-    ambient_C: float
-    time_s: Array
-    voltage_V: Array
-    current_A: Array
-    surface_C: Array
-
-    @property
-    def place(self) -> str:
-        """Return the run's name in an error: `sample A, run 1 at 25 °C`."""
-        return f"sample {self.sample}, run {self.run} at {self.ambient_C:g} °C"
-
-    @property
-    def is_metered(self) -> bool:
-        """Return True if the current was measured."""
-        return bool(np.isfinite(self.current_A).all())
 
 
 class _Row(NamedTuple):
