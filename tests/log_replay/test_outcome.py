@@ -65,6 +65,25 @@ def test_the_end_is_found_and_the_checkpoints_count_back_from_it() -> None:
     assert found.end_voltage_V == pytest.approx(13.6) and found.mean_nis == pytest.approx(1.5, abs=0.01)
 
 
+def later(one: ReplayedRow, by_s: float, *, armed: bool) -> ReplayedRow:
+    time_s = one.estimate.time_s + by_s
+    estimate, said = replace(one.estimate, time_s=time_s), replace(one.remaining, time_s=time_s)
+    return replace(one, estimate=estimate, remaining=said, armed=armed)
+
+
+@pytest.mark.parametrize("landed_s", [300, 500])
+def test_time_on_the_ground_between_two_flights_of_a_pack_is_in_no_truth(landed_s: int) -> None:
+    """Landed, disarmed, taken off again after 200 s: a forecast says how long the aircraft can fly, not wait."""
+    rows, wait_s = [later(one, 0.0, armed=True) for one in flight()], 200
+    waiting = [refused(row(float(landed_s + k), 16.5, 0.2, armed=False)) for k in range(wait_s)]
+    found = outcome(
+        [*rows[:landed_s], *waiting, *(later(one, wait_s, armed=True) for one in rows[landed_s:])], CUTOFF_V
+    )
+    in_one = outcome(rows, CUTOFF_V)
+    assert found.end_of_flight_s == in_one.end_of_flight_s + wait_s
+    assert found.checkpoints == in_one.checkpoints and len(found.checkpoints) == 5
+
+
 def test_no_checkpoint_lies_before_take_off_or_before_the_log() -> None:
     in_air = flight()[362:]
     waited = [replace(one, estimate=replace(one.estimate, current_A=0.2)) for one in flight()[:362]] + in_air

@@ -125,7 +125,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if is_judged else (),
+        checkpoints=_checkpoints(run, time_s, _waited_s(run, time_s, air), take_off_s, end_s) if is_judged else (),
         landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
     )
@@ -160,14 +160,25 @@ def _landing(run: list[ReplayedRow], air: InAir) -> Landing | None:
     return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut, lost_s)
 
 
-def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:
-    wanted = [("half time", (end_s - take_off_s) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
+def _waited_s(run: list[ReplayedRow], time_s: Array, air: InAir) -> Array:
+    """Return the time until each row [s] that the aircraft spent on the ground, disarmed: no forecast counts it."""
+    is_waiting = np.array([row.armed is False for row in run]) & ~air.flying
+    return np.cumsum(np.where(is_waiting, np.diff(time_s, prepend=time_s[0]), 0.0))
+
+
+def _checkpoints(
+    run: list[ReplayedRow], time_s: Array, waited_s: Array, take_off_s: float, end_s: float
+) -> tuple[Checkpoint, ...]:
+    """Return the forecasts at half time and at fixed times before the end, by the time in the air alone."""
+    take_off, end = np.searchsorted(time_s, (take_off_s, end_s)).tolist()
+    true_s = end_s - time_s - (waited_s[end] - waited_s)
+    wanted = [("half time", float(true_s[take_off]) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
     found = []
     for label, before_s in wanted:
-        index = int(np.searchsorted(time_s, end_s - before_s + 1e-6, side="right")) - 1
-        if end_s - before_s < take_off_s or index < 0:
+        index = int(np.searchsorted(-true_s, -before_s + 1e-6, side="right")) - 1
+        if index < take_off:
             continue
         line = run[index].remaining
-        true_s = end_s - line.time_s
-        found.append(Checkpoint(label, true_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
+        said_s = float(true_s[index] + time_s[index] - line.time_s)
+        found.append(Checkpoint(label, said_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
     return tuple(found)
