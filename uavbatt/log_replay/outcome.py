@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.log_replay.in_air import InAir, first_below_s, in_air
@@ -82,6 +83,7 @@ class Outcome:
         checkpoints: forecasts before that end, with their errors; empty without one, and with a reserve.
         landing: the forecast at the last row in the air; None if the log shows no flight.
         reserve_soc: state of charge at which the forecasts end the flight, too; 0 is off.
+        waits_s: when the aircraft stood on the ground, disarmed: begin and end of each time [s].
     """
 
     rows: int
@@ -95,6 +97,14 @@ class Outcome:
     checkpoints: tuple[Checkpoint, ...]
     landing: Landing | None = None
     reserve_soc: float = 0.0
+    waits_s: tuple[tuple[float, float], ...] = ()
+
+    def left_s(self, time_s: ArrayLike) -> Array:
+        """Return how much longer the aircraft was in the air, from some times [s] to the end of flight [s].
+
+        Time on the ground between two flights of a pack does not count, as it does not count in a forecast.
+        """
+        return _left_s(np.asarray(time_s, float), self.end_of_flight_s, self.waits_s)
 
 
 def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -> Outcome:
@@ -115,6 +125,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
     take_off_s = float(time_s[air.flying][0]) if air.flying.any() else float(time_s[0])
+    waits_s = _waits_s(run, time_s, air)
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),
@@ -125,9 +136,10 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, time_s, _waited_s(run, time_s, air), take_off_s, end_s) if is_judged else (),
+        checkpoints=_checkpoints(run, _left_s(time_s, end_s, waits_s), time_s >= take_off_s) if is_judged else (),
         landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
+        waits_s=waits_s,
     )
 
 
@@ -160,25 +172,31 @@ def _landing(run: list[ReplayedRow], air: InAir) -> Landing | None:
     return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut, lost_s)
 
 
-def _waited_s(run: list[ReplayedRow], time_s: Array, air: InAir) -> Array:
-    """Return the time until each row [s] that the aircraft spent on the ground, disarmed: no forecast counts it."""
+def _waits_s(run: list[ReplayedRow], time_s: Array, air: InAir) -> tuple[tuple[float, float], ...]:
+    """Return begin and end of each time on the ground [s]: disarmed by the vehicle's word, and without load."""
     is_waiting = np.array([row.armed is False for row in run]) & ~air.flying
-    return np.cumsum(np.where(is_waiting, np.diff(time_s, prepend=time_s[0]), 0.0))
+    begins, ends = np.flatnonzero(np.diff(is_waiting, prepend=False, append=False)).reshape(-1, 2).T
+    return tuple(zip(time_s[begins].tolist(), time_s[np.minimum(ends, len(run) - 1)].tolist(), strict=True))
 
 
-def _checkpoints(
-    run: list[ReplayedRow], time_s: Array, waited_s: Array, take_off_s: float, end_s: float
-) -> tuple[Checkpoint, ...]:
-    """Return the forecasts at half time and at fixed times before the end, by the time in the air alone."""
-    take_off, end = np.searchsorted(time_s, (take_off_s, end_s)).tolist()
-    true_s = end_s - time_s - (waited_s[end] - waited_s)
-    wanted = [("half time", float(true_s[take_off]) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
+def _left_s(time_s: Array, end_s: float, waits_s: tuple[tuple[float, float], ...]) -> Array:
+    """Return the time from `time_s` [s] to the end of flight [s], less the waits between them (begin, end) [s]."""
+    waited_s = sum(np.maximum(min(over_s, end_s) - np.maximum(time_s, since_s), 0.0) for since_s, over_s in waits_s)
+    return end_s - time_s - waited_s
+
+
+def _checkpoints(run: list[ReplayedRow], left_s: Array, is_flight: NDArray[np.bool_]) -> tuple[Checkpoint, ...]:
+    """Return the forecasts at half time and at fixed times before the end.
+
+    left_s : true time left at each row [s]; is_flight : False before the first take-off
+    """
+    wanted = [("half time", float(left_s[is_flight][0]) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
     found = []
     for label, before_s in wanted:
-        index = int(np.searchsorted(-true_s, -before_s + 1e-6, side="right")) - 1
-        if index < take_off:
+        index = int(np.searchsorted(-left_s, -before_s + 1e-6, side="right")) - 1
+        if index < 0 or not is_flight[index]:
             continue
         line = run[index].remaining
-        said_s = float(true_s[index] + time_s[index] - line.time_s)
-        found.append(Checkpoint(label, said_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
+        true_s = float(left_s[index]) + run[index].estimate.time_s - line.time_s
+        found.append(Checkpoint(label, true_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
     return tuple(found)

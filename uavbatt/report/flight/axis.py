@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uavbatt.log_replay.outcome import Outcome
 from uavbatt.records import Status
 from uavbatt.report import plot
 from uavbatt.report.flight.series import Array, FlightSeries, Stretch, outer, thinned
@@ -21,18 +22,24 @@ SHORT_S = 240.0  # a shorter log has its axis in seconds
 class TimeAxis:
     """TimeAxis is shared by all panels: minutes, or seconds for a short log; hatched where a number was refused."""
 
-    def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], end_s: float) -> None:
+    def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], outcome: Outcome) -> None:
         times_s = rows.time_s[np.isfinite(rows.time_s)]
         self.first_s, self.last_s = (float(times_s[0]), float(times_s[-1])) if times_s.size else (0.0, 1.0)
         self.in_seconds = self.last_s - self.first_s < SHORT_S
         self.unit_s = 1.0 if self.in_seconds else 60.0
         self.label = f"time since the log's start ({'s' if self.in_seconds else 'min'})"
         self.stretches = stretches
-        self.end_s = end_s
+        self.end_s, self.outcome = outcome.end_of_flight_s, outcome
 
     def at(self, time_s: Array | float) -> Array:
         """Return seconds in the unit of the axis."""
         return np.asarray(time_s, dtype=float) / self.unit_s
+
+    def truth(self) -> tuple[Array, Array]:
+        """Return the corners of the line of the true time left: their times [s], and the time left at each [s]."""
+        corners_s = np.ravel([self.first_s, self.end_s, *np.ravel(self.outcome.waits_s)])
+        times_s = np.unique(np.clip(corners_s, self.first_s, self.end_s))
+        return times_s, self.outcome.left_s(times_s)
 
     def dress(self, axes: Axes) -> None:
         """Give the axes their limits, the hatching and the mark of the end of flight."""

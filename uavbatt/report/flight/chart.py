@@ -44,7 +44,7 @@ def save_time_left(path: Path, rows: FlightSeries, axis: TimeAxis, events: Seque
 
 def _drawing(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> tuple[Callable[[Axes], None], float]:
     """Return what draws the chart into axes, and the top of their scale [min]."""
-    top_min = _top_min(rows, axis.end_s, axis.first_s)
+    top_min = _top_min(rows, axis)
     marked = apart(events, LEAST_APART * (axis.last_s - axis.first_s))
 
     def draw(axes: Axes) -> None:
@@ -52,8 +52,8 @@ def _drawing(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> tup
         band(axes, axis, rows.time_s, rows.lo_s / 60.0, high_s / 60.0, plot.BLUE, "9 in 10 lie here")
         line(axes, axis, rows.time_s, rows.remaining_s / 60.0, plot.BLUE, "forecast")
         if math.isfinite(axis.end_s):
-            ends_s = np.array([axis.first_s, axis.end_s])
-            axes.plot(axis.at(ends_s), (axis.end_s - ends_s) / 60.0, "--", color=plot.RED, label="truth")
+            corners_s, left_s = axis.truth()
+            axes.plot(axis.at(corners_s), left_s / 60.0, "--", color=plot.RED, label="truth")
         axes.set_ylim(-0.02 * top_min, top_min)
         axis.dress(axes)
         for event in marked:
@@ -104,9 +104,10 @@ def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
     return f"{truth}{'; early values are off the chart' if over else ''}{hatched}{shaded}."
 
 
-def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
+def _top_min(rows: FlightSeries, axis: TimeAxis) -> float:
     """Return the top of the axis [min]: it holds the truth, and forecasts and intervals up to 2.5 times as high."""
     medians, highs = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
-    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(medians, SETTLED_PERCENT))
+    has_end = math.isfinite(axis.end_s)
+    core = float(axis.truth()[1][0]) if has_end else float(np.percentile(medians, SETTLED_PERCENT))
     widest = float(np.percentile(np.append(highs, medians), 98))
     return 1.08 * max(min(max(core, widest), MOST_HELD * core), 30.0) / 60.0

@@ -65,7 +65,7 @@ def flight_report(
     """
     periods, name = stretches(steps), _name(flight)
     chart_rows = with_gaps(rows(steps))
-    axis = TimeAxis(chart_rows, periods, outcome.end_of_flight_s)
+    axis = TimeAxis(chart_rows, periods, outcome)
     chart = time_left_chart(chart_rows, axis, events(flight, steps, outcome, resolved.low_V))
     engineers = details(
         "For engineers: charge, voltage, innovation, current and temperature over the same time",
@@ -94,7 +94,7 @@ def save_charts(
     chart_rows = with_gaps(rows(steps))
     if not np.isfinite(chart_rows.remaining_s).any():
         return False
-    axis = TimeAxis(chart_rows, stretches(steps), outcome.end_of_flight_s)
+    axis = TimeAxis(chart_rows, stretches(steps), outcome)
     marks = events(flight, steps, outcome, resolved.low_V)
     title = f"{_name(flight)}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}"
     for path in paths:
