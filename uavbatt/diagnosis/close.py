@@ -29,6 +29,7 @@ from uavbatt.diagnosis.search.worth import left_out_values
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded
+from uavbatt.log_replay.in_air import in_air
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load.scenarios import LoggedLoad
@@ -184,8 +185,11 @@ def remaining(
     estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A(amps)][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
-    for step in steps(replace(flight, samples=tuple(thin)), estimator):
+    run = list(steps(replace(flight, samples=tuple(thin)), estimator))
+    for step, is_flying in zip(run, in_air(run).flying, strict=True):
         line = step.remaining
+        if step.armed is False and not is_flying:  # between two flights of a pack
+            due = max(due, line.time_s + SETTLING_S)
         if line.time_s < due or line.time_s >= end_s:
             continue
         due += FORECAST_S

@@ -12,6 +12,7 @@ from uavbatt.battery.model import Array
 from uavbatt.log_replay.in_air import InAir, first_below_s, in_air
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.nan_equal import nan_equal
+from uavbatt.prediction.load.waits import Waits, in_air_s, waits_of
 from uavbatt.records import NAN, Status
 
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
@@ -83,7 +84,7 @@ class Outcome:
         checkpoints: forecasts before that end, with their errors; empty without one, and with a reserve.
         landing: the forecast at the last row in the air; None if the log shows no flight.
         reserve_soc: state of charge at which the forecasts end the flight, too; 0 is off.
-        waits_s: when the aircraft stood on the ground, disarmed: begin and end of each time [s].
+        waits: when the aircraft stood on the ground, disarmed: begin and end of each time [s].
     """
 
     rows: int
@@ -97,14 +98,14 @@ class Outcome:
     checkpoints: tuple[Checkpoint, ...]
     landing: Landing | None = None
     reserve_soc: float = 0.0
-    waits_s: tuple[tuple[float, float], ...] = ()
+    waits: Waits = ()
 
     def left_s(self, time_s: ArrayLike) -> Array:
         """Return how much longer the aircraft was in the air, from some times [s] to the end of flight [s].
 
         Time on the ground between two flights of a pack does not count, as it does not count in a forecast.
         """
-        return _left_s(np.asarray(time_s, float), self.end_of_flight_s, self.waits_s)
+        return in_air_s(time_s, self.end_of_flight_s, self.waits)
 
 
 def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -> Outcome:
@@ -125,7 +126,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
     take_off_s = float(time_s[air.flying][0]) if air.flying.any() else float(time_s[0])
-    waits_s = _waits_s(run, time_s, air)
+    waits = waits_of(time_s, np.array([row.armed is False for row in run]) & ~air.flying)
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),
@@ -136,10 +137,10 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, _left_s(time_s, end_s, waits_s), time_s >= take_off_s) if is_judged else (),
+        checkpoints=_checkpoints(run, in_air_s(time_s, end_s, waits), time_s >= take_off_s) if is_judged else (),
         landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
-        waits_s=waits_s,
+        waits=waits,
     )
 
 
@@ -170,19 +171,6 @@ def _landing(run: list[ReplayedRow], air: InAir) -> Landing | None:
             return Landing(said.time_s, *numbers, is_cut=is_cut)
     lost_s = run[air.lost_at_end[0]].estimate.time_s if air.lost_at_end.size else NAN
     return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut, lost_s)
-
-
-def _waits_s(run: list[ReplayedRow], time_s: Array, air: InAir) -> tuple[tuple[float, float], ...]:
-    """Return begin and end of each time on the ground [s]: disarmed by the vehicle's word, and without load."""
-    is_waiting = np.array([row.armed is False for row in run]) & ~air.flying
-    begins, ends = np.flatnonzero(np.diff(is_waiting, prepend=False, append=False)).reshape(-1, 2).T
-    return tuple(zip(time_s[begins].tolist(), time_s[np.minimum(ends, len(run) - 1)].tolist(), strict=True))
-
-
-def _left_s(time_s: Array, end_s: float, waits_s: tuple[tuple[float, float], ...]) -> Array:
-    """Return the time from `time_s` [s] to the end of flight [s], less the waits between them (begin, end) [s]."""
-    waited_s = sum(np.maximum(min(over_s, end_s) - np.maximum(time_s, since_s), 0.0) for since_s, over_s in waits_s)
-    return end_s - time_s - waited_s
 
 
 def _checkpoints(run: list[ReplayedRow], left_s: Array, is_flight: NDArray[np.bool_]) -> tuple[Checkpoint, ...]:

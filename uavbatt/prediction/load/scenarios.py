@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.load.power_history import LOWEST_POWER_W, PowerHistory, RecentLoad
 from uavbatt.prediction.load.swings import Swings, swung
+from uavbatt.prediction.load.waits import Waits, in_air_s
 
 UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # swings of a flight that has just begun
 STATED_SPREAD = 0.04  # relative sd of a power that the operator states
@@ -140,11 +141,15 @@ def flown_again(scenarios: Scenarios, flown: PowerHistory) -> Scenarios:
 
 @dataclass(frozen=True, slots=True)
 class LoggedLoad:
-    """LoggedLoad gives the flight's own later power [W], read from its log: replay only, it tests the battery alone."""
+    """LoggedLoad gives the flight's own later power [W], read from its log: replay only, it tests the battery alone.
+
+    waits : on the ground, which are left out of the load
+    """
 
     time_s: Array
     power_W: Array
     begins_s: tuple[float, ...] = ()  # when a pack was changed [s]: the flight before did not go on with that load
+    waits: Waits = ()
 
     def typical_W(self, now: FlightPoint) -> float:
         """Return the mean power of the rows [W], at least 1 W."""
@@ -158,6 +163,8 @@ class LoggedLoad:
         """
         if self.begins_s:
             return self._discharge(now.time_s).scenarios(now, dt_s, steps)
+        if self.waits:
+            return self._in_air().scenarios(now._replace(time_s=self._flown_s(now.time_s)), dt_s, steps)
         last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
         if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:
             return self._rows(now.time_s, dt_s, steps, last_W)
@@ -175,7 +182,18 @@ class LoggedLoad:
         edges_s = (-np.inf, *self.begins_s, np.inf)
         k = int(np.searchsorted(edges_s, time_s, side="right"))
         own = (self.time_s >= edges_s[k - 1]) & (self.time_s < edges_s[k])
-        return LoggedLoad(self.time_s[own], self.power_W[own]) if own.sum() > 1 else replace(self, begins_s=())
+        one = replace(self, begins_s=())
+        return replace(one, time_s=self.time_s[own], power_W=self.power_W[own]) if own.sum() > 1 else one
+
+    def _in_air(self) -> LoggedLoad:
+        """Return the load without the waits, on a clock that stands still in them."""
+        own = ~np.any([(begin_s <= self.time_s) & (self.time_s < end_s) for begin_s, end_s in self.waits], axis=0)
+        return LoggedLoad(self._flown_s(self.time_s[own]), self.power_W[own])
+
+    def _flown_s(self, time_s: Array | float) -> Any:
+        """Return times [s] on the clock that stands still in the waits."""
+        first_s = self.time_s[0]
+        return first_s + in_air_s(first_s, time_s, self.waits)
 
     def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
         later = self.time_s >= time_s - 1e-6

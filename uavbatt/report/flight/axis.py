@@ -37,7 +37,7 @@ class TimeAxis:
 
     def truth(self) -> tuple[Array, Array]:
         """Return the corners of the line of the true time left: their times [s], and the time left at each [s]."""
-        corners_s = np.ravel([self.first_s, self.end_s, *np.ravel(self.outcome.waits_s)])
+        corners_s = np.ravel([self.first_s, self.end_s, *np.ravel(self.outcome.waits)])
         times_s = np.unique(np.clip(corners_s, self.first_s, self.end_s))
         return times_s, self.outcome.left_s(times_s)
 

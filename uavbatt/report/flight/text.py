@@ -124,7 +124,7 @@ def summary(
         "notes": list(flight.notes),
         "warnings": list(warnings_of(run)),
         **_landing_summary(outcome.landing),
-        **{k: v for k, v in asdict(outcome).items() if k not in ("checkpoints", "landing", "waits_s")},
+        **{k: v for k, v in asdict(outcome).items() if k not in ("checkpoints", "landing", "waits")},
         "scores": scores,
         **_route_summary(run),
     }
