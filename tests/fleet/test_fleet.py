@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -250,7 +251,6 @@ def test_whatever_happens_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     ("near", "beyond", "words"),
     [
         ({"end_soc": 0.05}, {"end_soc": 0.049}, "landed nearly empty: state of charge 0.05"),
-        ({"end_of_flight_s": 570.0}, {"end_of_flight_s": 569.0}, "flew on below the cut-off voltage"),
         ({"refused_share": 0.2}, {"refused_share": 0.21}, "21% of the forecasts in the air refused"),
         ({"mean_nis": 3.0}, {"mean_nis": 3.1}, "the battery file explains it badly (mean NIS 3.1)"),
         ({"resistance_scale": 1.59}, {"resistance_scale": 1.61}, "resistance 1.61 times the battery file's"),
@@ -271,3 +271,21 @@ def test_a_flight_is_looked_at_from_one_bound_on_and_says_why(
     assert reasons(FlightRow(**{**ordinary, **near}), ("rows are missing",)) == []
     (reason,) = reasons(FlightRow(**{**ordinary, **beyond}), ("rows are missing",))
     assert reason.startswith(words) and urgency(FlightRow(file="a.tlog", look=reason)) > 0.0
+
+
+def test_a_flight_that_stayed_in_the_air_below_the_cut_off_is_looked_at() -> None:
+    row = FlightRow(file="a.tlog", end_soc=0.3)
+    assert reasons(row, (), 30.0) == reasons(row, ()) == []
+    assert reasons(row, (), 31.0) == ["flew on below the cut-off voltage"]
+
+
+def test_minutes_on_the_ground_at_the_end_of_a_log_are_no_flight(tmp_path: Path) -> None:
+    """Landed within 20 s of the cut-off, then seven minutes with the motors off: it did not fly on."""
+    pack = pack_of(battery_file.read_battery(GENERIC), 4, 5.0, 13.2, math.nan)
+    rows = simulated(pack, SimulatedFlight(power_W=700.0, rate_Hz=0.5))[:-10]
+    resting = replace(rows[-1], voltage_V=14.0, current_A=0.4, armed=False)
+    idle = [replace(resting, time_s=resting.time_s + 2.0 * k) for k in range(1, 210)]
+    write_log(tmp_path / "a.tlog", [*rows, *idle], pack)
+    (row,) = fly_log(find_logs([str(tmp_path)])[0], job())
+    assert row.duration_s > row.end_of_flight_s + 400.0 and "flew on" not in row.look
+    assert row.mean_power_W == pytest.approx(700.0, rel=0.05)

@@ -26,10 +26,10 @@ from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load.options import stated_load
-from uavbatt.records import NAN, Flight
+from uavbatt.records import NAN, Flight, Sample
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
-from uavbatt.telemetry.quality.drawn import drawn
+from uavbatt.telemetry.quality.drawn import drawn, loaded_A
 from uavbatt.telemetry.quality.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
@@ -149,13 +149,14 @@ def _row(
     )
     row = _scored(_identified(row, job), ending)
     doubts = doubts_of_log(flight, size_bytes, time.time())
-    return replace(row, look="; ".join([*findings, *reasons(row, info.reasons), *doubts]))
+    return replace(row, look="; ".join([*findings, *reasons(row, info.reasons, ending.flown_on_s), *doubts]))
 
 
 def _figures(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Outcome) -> FlightRow:
     """Return the row of a replayed flight, without its aircraft and scores."""
     who, last = flight.identity, run[-1].estimate
-    total = drawn(flight.samples, gap_limit_s(median_step_s(flight.samples)))
+    limit_s = gap_limit_s(median_step_s(flight.samples))
+    total = drawn(flight.samples, limit_s)
     temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
     return FlightRow(
         file=flight.source,
@@ -176,7 +177,7 @@ def _figures(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Out
         cutoff_V=pack.cutoff_V,
         charge_Ah=total.charge_Ah,
         energy_Wh=total.energy_Wh,
-        mean_power_W=total.energy_Wh * 3600.0 / total.time_s if total.time_s > 0.0 else NAN,
+        mean_power_W=_loaded_W(flight.samples, limit_s),
         temp_C=float(np.median(temps)) if temps else NAN,
         end_voltage_V=ending.end_voltage_V,
         end_soc=ending.end_soc,
@@ -191,6 +192,13 @@ def _figures(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Out
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
     )
+
+
+def _loaded_W(samples: Sequence[Sample], limit_s: float) -> float:
+    """Return the mean power under load [W]; NaN if no current tells. A step longer than `limit_s` [s] is a gap."""
+    least_A = loaded_A(np.array([sample.current_A for sample in samples]))
+    total = drawn((sample for sample in samples if sample.current_A > least_A), limit_s)
+    return total.energy_Wh * 3600.0 / total.time_s if total.time_s > 0.0 else NAN
 
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:

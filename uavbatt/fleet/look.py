@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 from uavbatt.fleet.row import FlightRow
 from uavbatt.packs.dates import future_words, is_in_future
-from uavbatt.records import Flight
+from uavbatt.records import NAN, Flight
 
 MUCH_REFUSED = 0.2  # share of the forecasts in the air
 HIGH_NIS = 3.0  # mean of the squared innovation over its variance: 1 if the model fits
@@ -24,12 +22,15 @@ URGENCY = {
 }  # fmt: skip
 
 
-def reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
-    """Return the reasons in the figures of a flight; empty if there are none. `doubts`: those of the log's quality."""
+def reasons(row: FlightRow, doubts: tuple[str, ...], flown_on_s: float = NAN) -> list[str]:
+    """Return the reasons in the figures of a flight; empty if there are none.
+
+    doubts : those of the log's quality; flown_on_s : time in the air after the end of flight [s], NaN without one
+    """
     found = []
     if row.end_soc < EMPTY_SOC:
         found.append(f"{EMPTY}: state of charge {row.end_soc:.2f}")
-    elif math.isfinite(row.end_of_flight_s) and row.duration_s - row.end_of_flight_s > LANDING_S:
+    elif flown_on_s > LANDING_S:
         found.append(f"{FLEW_ON} the cut-off voltage")
     if row.refused_share > MUCH_REFUSED:
         found.append(f"{row.refused_share:.0%} of the forecasts in the air {REFUSED}")

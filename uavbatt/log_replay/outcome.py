@@ -100,6 +100,11 @@ class Outcome:
     reserve_soc: float = 0.0
     waits: Waits = ()
 
+    @property
+    def flown_on_s(self) -> float:
+        """Return how long the aircraft was in the air after its end of flight [s]; NaN if it did not reach one."""
+        return self.landing.time_s - self.end_of_flight_s if self.landing is not None else NAN
+
     def left_s(self, time_s: ArrayLike) -> Array:
         """Return how much longer the aircraft was in the air, from some times [s] to the end of flight [s].
 

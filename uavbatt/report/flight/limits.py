@@ -35,11 +35,11 @@ def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]
 
 def flown_on(outcome: Outcome, resolved: PackSize) -> list[str]:
     """Return in words that the flight went on long after its end, if nobody stated the cut-off: it is another one."""
-    on_s = outcome.landing.time_s - outcome.end_of_flight_s if outcome.landing is not None else math.nan
-    if resolved.cutoff_from != FROM_BATTERY_FILE or not on_s > FLOWN_ON_S:
+    if resolved.cutoff_from != FROM_BATTERY_FILE or not outcome.flown_on_s > FLOWN_ON_S:
         return []
     other = f", and for lithium-ion cells --battery {GENERIC_LITHIUM_ION}" if resolved.battery == GENERIC else ""
-    return [f"nobody stated the cut-off, and it flew on below it for {duration(on_s)}: give --cutoff-voltage{other}"]
+    on = duration(outcome.flown_on_s)
+    return [f"nobody stated the cut-off, and it flew on below it for {on}: give --cutoff-voltage{other}"]
 
 
 def _charge_words(outcome: Outcome) -> str:
