@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
@@ -164,7 +165,7 @@ class LoggedLoad:
         if self.begins_s:
             return self._discharge(now.time_s).scenarios(now, dt_s, steps)
         if self.waits:
-            return self._in_air().scenarios(now._replace(time_s=self._flown_s(now.time_s)), dt_s, steps)
+            return self._in_air().scenarios(now._replace(time_s=float(self._flown_s(now.time_s))), dt_s, steps)
         last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
         if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:
             return self._rows(now.time_s, dt_s, steps, last_W)
@@ -190,10 +191,10 @@ class LoggedLoad:
         own = ~np.any([(begin_s <= self.time_s) & (self.time_s < end_s) for begin_s, end_s in self.waits], axis=0)
         return LoggedLoad(self._flown_s(self.time_s[own]), self.power_W[own])
 
-    def _flown_s(self, time_s: Array | float) -> Any:
+    def _flown_s(self, time_s: ArrayLike) -> Array:
         """Return times [s] on the clock that stands still in the waits."""
         first_s = self.time_s[0]
-        return first_s + in_air_s(first_s, time_s, self.waits)
+        return np.asarray(first_s + in_air_s(first_s, time_s, self.waits))
 
     def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
         later = self.time_s >= time_s - 1e-6
