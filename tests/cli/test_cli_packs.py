@@ -131,6 +131,19 @@ def test_replay_remembers_a_flight_once(run, tmp_path):
     assert "not remembered: no serial in the log" in nameless.stdout
 
 
+def test_a_replay_takes_the_capacity_of_a_known_pack_from_the_ledger(run, ledger, tmp_path):
+    """Where nobody else states one: a pack that the ledger does not know is still refused."""
+    log = tmp_path / "a.csv"  # a CSV file states no capacity
+    assert run("simulate", "-o", log, "--power-w", "600", "--rate-hz", "1").returncode == 0
+    call = ("replay", log, "--packs", ledger, "--cells", "4")
+    known = run(*call, "--pack", "B").stdout
+    assert "5 Ah from pack B in the ledger" in known and "5 flights remembered" in known
+    assert "5.2 Ah from --capacity-ah" in run(*call, "--pack", "B", "--capacity-ah", "5.2").stdout
+    unknown = run(*call, "--pack", "C")
+    assert unknown.returncode == 2 and "give --capacity-ah" in unknown.stderr
+    assert "give --capacity-ah" in run(*call).stderr  # no name, no serial
+
+
 def test_a_flight_dated_in_the_future_is_said(run, tmp_path):
     path = tmp_path / "packs.sqlite"
     with Ledger(path) as opened:

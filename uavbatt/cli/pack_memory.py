@@ -49,12 +49,10 @@ class RecalledPack(NamedTuple):
         options = of_known_cells(options, self.health)
         if options.cells not in (None, self.cells):
             raise UsageError(f"--cells {options.cells}: pack {self.name} has {self.cells} by the ledger")
-        ledger, names = f"pack {self.name} in the ledger ", options.names
         if options.cells is None:
-            options, names = replace(options, cells=self.cells), names._replace(cells=ledger)
-        if math.isnan(options.capacity_Ah):
-            options, names = replace(options, capacity_Ah=self.rated_Ah), names._replace(capacity=ledger)
-        return replace(options, names=names)
+            names = options.names._replace(cells=_source(self.name))
+            options = replace(options, cells=self.cells, names=names)
+        return options if math.isfinite(options.capacity_Ah) else with_capacity(options, self.name, self.rated_Ah)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +69,17 @@ class PackMemory:
         if self.ledger is None:
             return None
         return health_before(self.ledger, name_of(flight, self.stated), flight, battery)
+
+    def known_size(self, flight: Flight, battery: BatteryFile, options: PackOptions) -> PackOptions:
+        """Return the options with the capacity of the flight's pack by the ledger, where nobody else states one."""
+        from uavbatt.battery.sizing.pack_size import why_no_capacity
+        from uavbatt.packs.remembering import name_of
+
+        name = name_of(flight, self.stated)
+        if self.ledger is None or not name or not why_no_capacity(battery, options, flight.facts_at(math.inf)):
+            return options
+        pack = self.ledger.pack(name)
+        return options if pack is None else with_capacity(options, name, pack.rated_Ah)
 
     def recalled_now(self, battery: BatteryFile) -> RecalledPack | None:
         """Return the pack in --pack as it is today. Raises UsageError for a pack that is not in the ledger."""
@@ -113,6 +122,16 @@ class PackMemory:
         pack = self.ledger.pack(name)
         assert pack is not None
         return _learned(pack, after.findings)
+
+
+def with_capacity(options: PackOptions, name: str, rated_Ah: float) -> PackOptions:
+    """Return the options with the rated capacity [Ah] that the ledger has of the pack `name`."""
+    return replace(options, capacity_Ah=rated_Ah, names=options.names._replace(capacity=_source(name)))
+
+
+def _source(name: str) -> str:
+    """Return where a number of the pack came from, as what is said of it later spells it."""
+    return f"pack {name} in the ledger "
 
 
 def _learned(pack: PackRow, findings: Sequence[PackFinding]) -> LearnedFlight:

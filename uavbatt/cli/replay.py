@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -204,6 +204,7 @@ def _one(
     flight = asked_flight(log, options.instance, options.join, options.system)
     if options.mission is not None:
         flight = with_mission(flight, options.mission)
+    options = replace(options, pack=memory.known_size(flight, options.battery, options.pack))
     to_come = stated_load(options.load, flight, options.vehicle, options.battery)
     settings = ForecastSettings(to_come, options.reserve_soc, recorded_period_s(flight))
     health = memory.health_before(flight, options.battery)
