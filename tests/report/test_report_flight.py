@@ -19,6 +19,7 @@ from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
+from uavbatt.report.flight.axis import TimeAxis
 from uavbatt.report.flight.events import apart, events
 from uavbatt.report.flight.flight_page import flight_report
 from uavbatt.report.flight.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
@@ -152,6 +153,31 @@ def test_events_are_told_in_order_and_those_that_lie_close_share_a_mark() -> Non
     ]  # fmt: skip
     assert [e.words for e in found if e.tells_danger] == ["alarm", "low voltage"]
     assert [e.words for e in apart(found, 9.0)] == ["take-off, mission", "alarm", "return", "low voltage", "landed"]
+
+
+@pytest.mark.parametrize("waits", [1, 6, 7])
+def test_each_flight_of_a_pack_has_its_landing_and_take_off_unless_there_are_many(waits: int) -> None:
+    """Waits before the first take-off, after the last landing, and of seconds are none between two flights."""
+    air = [step(float(t)) for t in range(20, 60 * waits + 100)]
+    ground = [step(float(t), refused=NOT_FLYING, current_A=0.1) for t in range(20)]
+    between = [(60.0 * k, 60.0 * k + 30.0) for k in range(1, waits + 1)]
+    last_s = air[-1].estimate.time_s
+    outcome = replace(
+        NO_OUTCOME,
+        landing=Landing(last_s, 400.0, 300.0, 500.0, NAN),
+        waits=((0.0, 20.0), (30.0, 35.0), *between, (last_s, last_s + 60.0)),
+    )
+    found = [(e.time_s, e.words) for e in events(Flight("f", "csv", ()), [*ground, *air], outcome, low_V=NAN)]
+    hops = [moment for begin_s, end_s in between for moment in ((begin_s, "landed"), (end_s, "take-off"))]
+    assert found == [(20.0, "take-off"), *(hops if waits <= 6 else []), (last_s, "landed")]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_true_time_left_stands_still_in_a_wait() -> None:
+    outcome = replace(NO_OUTCOME, end_of_flight_s=90.0, waits=((0.0, 10.0), (40.0, 60.0)))
+    axis = TimeAxis(rows([step(float(t)) for t in range(100)]), (), outcome)
+    times_s, left_s = axis.truth()
+    assert times_s.tolist() == [0.0, 10.0, 40.0, 60.0, 90.0] and left_s.tolist() == [60.0, 60.0, 30.0, 30.0, 0.0]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.log_replay.in_air import first_below_s, in_air
+from uavbatt.log_replay.in_air import InAir, first_below_s, in_air
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.navigation import Mode
@@ -22,6 +22,7 @@ MODES = {
     Mode.TAKEOFF: "take-off mode", Mode.HOLD: "hold", Mode.MANUAL: "manual",
 }  # fmt: skip
 MOST_MODES = 12  # a flight that changes more often shows none
+LEAST_WAIT_S, MOST_WAITS = 20.0, 6  # of the waits on the ground that are shown
 
 
 class Event(NamedTuple):
@@ -37,7 +38,8 @@ def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V
 
     low_V : voltage of the vehicle's low-voltage warning [V]; NaN if none is stated
     """
-    moments = [*_air(steps, outcome), *_modes(flight), *_warnings(steps, low_V)]
+    air = in_air(steps)
+    moments = [*_air(steps, outcome), *_waits(steps, outcome, air), *_modes(flight), *_warnings(steps, air, low_V)]
     if math.isfinite(outcome.end_of_flight_s):
         moments.append(Event(outcome.end_of_flight_s, "battery at its end", True))
     return sorted(moments)
@@ -55,6 +57,17 @@ def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
         yield Event(landed_s, "landed")
 
 
+def _waits(steps: Sequence[ReplayedRow], outcome: Outcome, air: InAir) -> Iterator[Event]:
+    """Return landing and take-off at each wait on the ground between two flights of a pack; none if there are many."""
+    flown_s = [s.estimate.time_s for s, is_flying in zip(steps, air.flying, strict=True) if is_flying]
+    long = [(begin_s, end_s) for begin_s, end_s in outcome.waits if end_s - begin_s >= LEAST_WAIT_S]
+    between = [(begin_s, end_s) for begin_s, end_s in long if flown_s and flown_s[0] < begin_s and end_s <= flown_s[-1]]
+    if len(between) <= MOST_WAITS:
+        for begin_s, end_s in between:
+            yield Event(begin_s, "landed")
+            yield Event(end_s, "take-off")
+
+
 def _modes(flight: Flight) -> list[Event]:
     """Return the changes of the flight mode."""
     changes = [n for n in flight.navigation if n.mode in MODES and math.isfinite(n.mode_since_s)]
@@ -62,11 +75,11 @@ def _modes(flight: Flight) -> list[Event]:
     return [Event(n.mode_since_s, MODES[n.mode]) for n in changed] if len(changed) <= MOST_MODES else []
 
 
-def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
+def _warnings(steps: Sequence[ReplayedRow], air: InAir, low_V: float) -> Iterator[Event]:
     """Return the first low voltage, the first alarm, and the first “turn back now”."""
     time_s, volts = (np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V"))
     if math.isfinite(low_V) and np.isfinite(volts).any():
-        low_s = first_below_s(time_s, volts, in_air(steps), low_V)
+        low_s = first_below_s(time_s, volts, air, low_V)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
     forecasts = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
