@@ -33,6 +33,7 @@ from uavbatt.log_replay.in_air import in_air
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load.scenarios import LoggedLoad
+from uavbatt.prediction.load.waits import in_air_s, waits_in
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.quality.drawn import loaded_A
@@ -181,7 +182,9 @@ def remaining(
     if not math.isfinite(end_s):
         return [], []
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
-    load = LoggedLoad(time_s, np.maximum(true_power(pack, volts, amps), 0.0))
+    power_W = np.maximum(true_power(pack, volts, amps), 0.0)
+    waits = waits_in(rows, power_W)
+    load = LoggedLoad(time_s, power_W, waits=waits)
     estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A(amps)][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
@@ -193,7 +196,7 @@ def remaining(
         if line.time_s < due or line.time_s >= end_s:
             continue
         due += FORECAST_S
-        true_s = end_s - line.time_s
+        true_s = float(in_air_s(line.time_s, end_s, waits))
         is_known = math.isfinite(line.remaining_s)
         errors.append(abs(line.remaining_s - true_s) if is_known else true_s)
         hits.append(is_known and line.remaining_lo_s <= true_s <= line.remaining_hi_s)

@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.model import Array
 from uavbatt.battery.pack import Installation, true_power
 from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UsageError
 from uavbatt.prediction.load.library import UnknownAircraft, learned_load
 from uavbatt.prediction.load.scenarios import STATED_SPREAD, ConstantLoad, Load, LoggedLoad, RecentMean
-from uavbatt.prediction.load.waits import waits_of
-from uavbatt.records import Flight, Sample
+from uavbatt.prediction.load.waits import waits_in
+from uavbatt.records import Flight
 
 OPTION = "--load "  # as the command line spells it
 WORDS = ("learned", "recent", "log")
-LOADED_SHARE = 1.0 / 3.0  # of the 90 % point of the power: less is no flight
 
 
 def stated_load(
@@ -50,15 +47,8 @@ def stated_load(
         time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in rows]).T
         begins_s = tuple(begin_s for begin_s, _ in flight.discharges)
         power_W = np.maximum(true_power(sensors, volts, amps), 0.0)
-        return LoggedLoad(time_s, power_W, begins_s, waits_of(time_s, _waiting(rows, power_W)))
+        return LoggedLoad(time_s, power_W, begins_s, waits_in(rows, power_W))
     return ConstantLoad(_watts(text, name), STATED_SPREAD)
-
-
-def _waiting(rows: list[Sample], power_W: Array) -> NDArray[np.bool_]:
-    """Return True for each row on the ground between two flights: disarmed by the vehicle's word, without load."""
-    loaded = power_W > LOADED_SHARE * np.percentile(power_W, 90)
-    flown = np.maximum.accumulate(loaded) & np.maximum.accumulate(loaded[::-1])[::-1]
-    return np.array([row.armed is False for row in rows]) & ~loaded & flown
 
 
 def check_word(text: str) -> None:

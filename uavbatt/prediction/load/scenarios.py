@@ -189,6 +189,8 @@ class LoggedLoad:
     def _in_air(self) -> LoggedLoad:
         """Return the load without the waits, on a clock that stands still in them."""
         own = ~np.any([(begin_s <= self.time_s) & (self.time_s < end_s) for begin_s, end_s in self.waits], axis=0)
+        if own.sum() < 2:
+            return replace(self, waits=())
         return LoggedLoad(self._flown_s(self.time_s[own]), self.power_W[own])
 
     def _flown_s(self, time_s: ArrayLike) -> Array:
