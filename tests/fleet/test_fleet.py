@@ -289,3 +289,4 @@ def test_minutes_on_the_ground_at_the_end_of_a_log_are_no_flight(tmp_path: Path)
     (row,) = fly_log(find_logs([str(tmp_path)])[0], job())
     assert row.duration_s > row.end_of_flight_s + 400.0 and "flew on" not in row.look
     assert row.mean_power_W == pytest.approx(700.0, rel=0.05)
+    assert row.air_s == pytest.approx(row.duration_s - 418.0 - 20.0, abs=5.0)

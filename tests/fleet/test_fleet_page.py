@@ -53,6 +53,11 @@ def test_growth_is_told_and_noise_is_not() -> None:
     assert change(few, few.resistance) is None
 
 
+def test_the_hours_of_a_pack_are_those_in_the_air() -> None:
+    """A row without a current, or of a table of an earlier run, counts as long as its log is."""
+    assert group([*rows("heron", 0.0, 4, air_s=600.0), *rows("heron", 0.0, 1)]).flown_s == 4 * 600.0 + 900.0
+
+
 def test_a_growth_that_is_certain_stands_before_a_larger_one_that_may_be_chance() -> None:
     unsure = [replace(row, resistance_scale_sd=2.0) for row in rows("swift", 0.6)]
     page = fleet_report(gathered([*unsure, *rows("heron", 0.4)]), "x (fitted)")

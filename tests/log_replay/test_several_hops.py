@@ -88,6 +88,7 @@ def test_the_forecasts_of_each_flight_are_right_by_the_time_in_the_air(word: str
     truth = [c.before_end_s for c in found.checkpoints]
     assert truth == pytest.approx([found.left_s(20.0) / 2.0, 360.0, 240.0, 120.0, 60.0], abs=1.0)
     assert found.left_s(20.0) == pytest.approx(found.end_of_flight_s - 20.0 - 800.0, abs=2.0)
+    assert found.air_s == pytest.approx(found.duration_s - 20.0 - 800.0, abs=2.0)
     assert all(c.inside and abs(c.error_s) < 0.25 * c.before_end_s + 30.0 for c in found.checkpoints)
 
 

@@ -26,7 +26,7 @@ from uavbatt.report.flight.series import MOST_STRETCHES, innovation_sd, outer, r
 from uavbatt.report.flight.text import dated_warnings
 
 RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
-NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())
+NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())
 HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
 REFUSAL = "not flying"
 
@@ -59,7 +59,7 @@ def render(
 
 def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> None:
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0), Checkpoint("120 s before", 120.0, NAN, NAN, NAN))
-    outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
+    outcome = Outcome(600, 599.0, 590.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
     html = render([step(float(t), warnings=("mind the cold",)) for t in range(600)], outcome, notes=("a note",))
     assert "10 % charge left at the end of the log (7 to 13 %)" in html
     assert "50 s too long, truth inside" in html
@@ -184,7 +184,7 @@ def test_the_true_time_left_stands_still_in_a_wait() -> None:
 def test_the_end_of_the_battery_is_said_once() -> None:
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0),)
     landing = Landing(599.0, 0.0, 0.0, 0.0, NAN)
-    outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.0, 0.9, points, landing)
+    outcome = Outcome(600, 599.0, 590.0, 9.5, 0.1, 0.02, 550.0, 0.0, 0.9, points, landing)
     html = render([step(float(t)) for t in range(600)], outcome)
     assert html.count("9 min 10 s after the log") == 1
     assert "Not checked against the truth" not in html

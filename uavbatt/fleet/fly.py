@@ -169,6 +169,7 @@ def _figures(flight: Flight, run: list[ReplayedRow], pack: PackSize, ending: Out
         instances=" ".join(str(i) for i in flight.instances),
         start_utc=_utc(who.start_utc_s),
         duration_s=ending.duration_s,
+        air_s=ending.air_s,
         rows=ending.rows,
         battery=pack.battery,
         certificate=pack.status,

@@ -49,6 +49,7 @@ class FlightRow:
     instances: str = ""
     start_utc: str = ""
     duration_s: float = NAN
+    air_s: float = NAN
     rows: int = 0
     battery: str = ""
     certificate: str = ""

@@ -75,6 +75,7 @@ class Outcome:
     Attributes:
         rows: rows of the battery.
         duration_s: from the first row to the last [s].
+        air_s: time in the air, from the first take-off to the last landing, without the waits [s].
         end_voltage_V: of the pack at the last row [V].
         end_soc: state of charge at the last row, 0 to 1.
         end_soc_sd: its standard deviation.
@@ -89,6 +90,7 @@ class Outcome:
 
     rows: int
     duration_s: float
+    air_s: float
     end_voltage_V: float
     end_soc: float
     end_soc_sd: float
@@ -130,19 +132,20 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     judged = [s for s, f in zip(run, air.flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
-    take_off_s = float(time_s[air.flying][0]) if air.flying.any() else float(time_s[0])
+    flown_s = time_s[air.flying] if air.flying.any() else time_s[:1]
     waits = waits_of(time_s, np.array([row.armed is False for row in run]) & ~air.flying)
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),
         duration_s=float(time_s[-1] - time_s[0]),
+        air_s=float(in_air_s(flown_s[0], flown_s[-1], waits)) if air.flying.any() else NAN,
         end_voltage_V=float(volts[np.isfinite(volts)][-1]) if np.isfinite(volts).any() else NAN,
         end_soc=known[-1].soc if is_known else NAN,
         end_soc_sd=known[-1].soc_sd if is_known else NAN,
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, in_air_s(time_s, end_s, waits), time_s >= take_off_s) if is_judged else (),
+        checkpoints=_checkpoints(run, in_air_s(time_s, end_s, waits), time_s >= flown_s[0]) if is_judged else (),
         landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
         waits=waits,

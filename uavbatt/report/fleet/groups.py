@@ -99,7 +99,7 @@ class Group:
         self.start_s.append(start)
         self.resistance.append((row.resistance_scale, row.resistance_scale_sd))
         self.capacity.append((row.capacity_scale, row.capacity_scale_sd))
-        self.flown_s += row.duration_s
+        self.flown_s += row.air_s if math.isfinite(row.air_s) else row.duration_s
         self.energy_Wh += row.energy_Wh if math.isfinite(row.energy_Wh) else 0.0
 
     @property
