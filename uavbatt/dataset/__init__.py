@@ -1,8 +1,8 @@
 """The discharge data set: a folder of bench tests, read and checked, and its tables of repeated runs."""
 
 from uavbatt.dataset.folder import TEMPLATE_FILES, load, write_template
-from uavbatt.dataset.levels import QUANTITIES, Levels, levels, whole_minutes
 from uavbatt.dataset.records import Array, DataSet, Flag, Run, Uncertainty
+from uavbatt.dataset.repeated_runs import QUANTITIES, Levels, levels, whole_minutes
 
 __all__ = [
     "QUANTITIES",
