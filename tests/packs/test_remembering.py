@@ -302,3 +302,20 @@ def test_the_curve_of_another_make_is_no_resistance():
     record = remembering.flight_for_ledger(generic, options, flight).record
     assert record.told.log_ohm == pytest.approx(math.log(make.ohmAh / FULL_AH), abs=0.2)
     assert math.sqrt(record.told.variance_ohm) < 0.2
+
+
+def test_what_a_flight_tells_under_load_is_not_watered_down_by_the_ground() -> None:
+    """Landed with 15 minutes left on the ground, cooling: at rest the cells are alike."""
+    flown_rows = flight(1, share=0.4)
+    weak = tuple(
+        replace(s, cell_voltages_V=(s.voltage_V / 3.0, s.voltage_V / 3.0 - 0.12, s.voltage_V / 3.0))
+        for s in flown_rows.samples
+    )
+    landed = replace(weak[-1], voltage_V=11.4, current_A=0.2, temp_C=12.0, armed=False, cell_voltages_V=(3.8,) * 3)
+    ground = tuple(replace(landed, time_s=landed.time_s + k) for k in range(1, 900))
+    alone, both = (
+        remembering.flight_for_ledger(BATTERY, OPTIONS, replace(flown_rows, samples=samples)).record
+        for samples in (weak, (*weak, *ground))
+    )
+    assert (both.weak_cell, both.weak_cell_V) == (2, pytest.approx(0.08, abs=1e-6))
+    assert both.temp_mean_C == pytest.approx(alone.temp_mean_C, abs=0.01) and both.temp_mean_C > 24.0

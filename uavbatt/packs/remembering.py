@@ -106,7 +106,8 @@ def flight_for_ledger(
     loaded = [belief for _, belief, _ in looks if belief is not None]
     if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return FlightForLedger(None, "no estimate could be made")
-    temp_C, is_generic = _mean_temp_C(rows[: last_loaded + 1]), battery.certificate.status == "generic"
+    under_load = [row for row, is_loaded in zip(rows, _is_loaded(rows), strict=True) if is_loaded]
+    temp_C, is_generic = _mean_temp_C(under_load), battery.certificate.status == "generic"
     estimates = [e for some, *_ in looks for e in some] + end
     begun_later = _is_begun_later(rows, estimates[0].soc)
     said = evidence_of_flight(
@@ -114,7 +115,7 @@ def flight_for_ledger(
     )
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
-    return FlightForLedger(_record(battery, size, pack, flight, rows, estimates, said))
+    return FlightForLedger(_record(battery, size, pack, flight, rows, under_load, estimates, said))
 
 
 def check_cells(
@@ -200,11 +201,13 @@ def _record(
     pack: Pack,
     flight: Flight,
     rows: Sequence[Sample],
+    under_load: Sequence[Sample],
     estimates: Sequence[Estimate],
     said: FlightEvidence,
 ) -> FlightRecord:
+    """Return the record of a flight from its metered rows, of which some are `under_load`."""
     temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
-    weak_cell, weak_V = _weak_cell(rows)
+    weak_cell, weak_V = _weak_cell(under_load)
     total = drawn(rows, LONGEST_STEP_S)
     return FlightRecord(
         key=key_of(flight.samples),
@@ -221,7 +224,7 @@ def _record(
         soc_end=estimates[-1].soc,
         charge_Ah=total.charge_Ah,
         energy_Wh=total.energy_Wh,
-        temp_mean_C=_mean_temp_C(rows),
+        temp_mean_C=_mean_temp_C(under_load),
         temp_max_C=max(temps, default=NAN),
         weak_cell=weak_cell,
         weak_cell_V=weak_V,
@@ -231,8 +234,7 @@ def _record(
 
 
 def _weak_cell(rows: Sequence[Sample]) -> tuple[int, float]:
-    """Return the number of the lowest cell in the last third of the flight, from 1, and its distance below the mean
-    [V]."""
+    """Return the number of the lowest cell in the last third of some rows, from 1, and how far below the mean [V]."""
     late = [row.cell_voltages_V for row in rows[2 * len(rows) // 3 :] if len(row.cell_voltages_V) > 1]
     counts = {len(cells) for cells in late}
     if len(counts) != 1:
