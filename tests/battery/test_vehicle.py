@@ -24,9 +24,9 @@ from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, other_powers, speeds, trace
+from uavbatt.log_replay.load_options import stated_load
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load.library import LearnedLoad
-from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry.join import Wiring, joined

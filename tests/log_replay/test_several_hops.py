@@ -13,10 +13,10 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.diagnosis.close import remaining
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay.load_options import stated_load
 from uavbatt.log_replay.outcome import outcome
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load.options import stated_load
 from uavbatt.prediction.load.power_history import RecentLoad
 from uavbatt.prediction.load.scenarios import FlightPoint, LoggedLoad
 from uavbatt.prediction.load.waits import in_air_s, waits_of
@@ -44,7 +44,8 @@ def three_hops() -> Flight:
 
 def test_waits_are_the_stretches_that_wait_and_time_in_the_air_leaves_them_out() -> None:
     time_s = np.arange(10.0)
-    waits = waits_of(time_s, np.isin(time_s, (0.0, 1.0, 4.0, 5.0, 9.0)))
+    is_waiting = np.isin(time_s, (0.0, 1.0, 4.0, 5.0, 9.0))
+    waits = waits_of(time_s, is_waiting, ~is_waiting)
     assert waits == ((0.0, 2.0), (4.0, 6.0), (9.0, np.inf))
     assert in_air_s([0.0, 2.0, 3.0, 5.0, 8.0], 9.0, waits).tolist() == [5.0, 5.0, 4.0, 3.0, 1.0]
     assert in_air_s([1.0, 7.0], 9.0, ()).tolist() == [8.0, 2.0]
@@ -70,10 +71,11 @@ def test_a_logged_load_is_that_of_the_flights_without_the_waits(row_s: float) ->
         assert found.power_W == pytest.approx(expected.power_W) and found.dt_s == pytest.approx(expected.dt_s)
 
 
+@pytest.mark.parametrize("until_s", [600, 6000])
 @pytest.mark.parametrize("armed", [True, False, None])
-def test_a_logged_load_goes_on_as_the_flight_and_not_as_the_ground_after_it(armed: bool | None) -> None:
+def test_a_logged_load_goes_on_as_the_flight_and_not_as_the_ground_after_it(armed: bool | None, until_s: int) -> None:
     """Five minutes of idling after the landing made 15 minutes of 8, whatever the vehicle says of its arming then."""
-    rows = [Sample(float(k), 15.0, 20.0 if k < 300 else 0.5, armed=True if k < 300 else armed) for k in range(600)]
+    rows = [Sample(float(k), 15.0, 20.0 if k < 300 else 0.5, armed=True if k < 300 else armed) for k in range(until_s)]
     load = stated_load("log", Flight("landed", "tlog", tuple(rows)), None)
     found = load.scenarios(FlightPoint(250.0, 250.0, 0.5, 300.0, RecentLoad()), 5.0, 200)
     assert found.power_W == pytest.approx(np.full((200, 1), 300.0))

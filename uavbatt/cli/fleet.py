@@ -125,7 +125,7 @@ def _check_workers(workers: int | None, scheduler: str | None) -> None:
 
 def _check_words(instance: int | None, join: str, load: str) -> None:
     """Raise UsageError for an unknown --join or --load, before the first log is read."""
-    from uavbatt.prediction.load.options import check_word
+    from uavbatt.log_replay.load_options import check_word
 
     check_join(instance, join)
     check_word(load)

@@ -120,8 +120,8 @@ def pack_and_forecasts(pack: PackSection) -> tuple[PackOptions, ForecastSettings
     """Return the pack and the forecasts as the configuration states them. Raises UsageError for `--load log`."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing.pack_size import PackOptions
+    from uavbatt.log_replay.load_options import stated_load
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.prediction.load.options import stated_load
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":

@@ -52,7 +52,7 @@ class RecalledPack(NamedTuple):
         if options.cells is None:
             names = options.names._replace(cells=_source(self.name))
             options = replace(options, cells=self.cells, names=names)
-        return options if math.isfinite(options.capacity_Ah) else with_capacity(options, self.name, self.rated_Ah)
+        return options if math.isfinite(options.capacity_Ah) else _with_capacity(options, self.name, self.rated_Ah)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class PackMemory:
         if self.ledger is None or not name or not why_no_capacity(battery, options, flight.facts_at(math.inf)):
             return options
         pack = self.ledger.pack(name)
-        return options if pack is None else with_capacity(options, name, pack.rated_Ah)
+        return options if pack is None else _with_capacity(options, name, pack.rated_Ah)
 
     def recalled_now(self, battery: BatteryFile) -> RecalledPack | None:
         """Return the pack in --pack as it is today. Raises UsageError for a pack that is not in the ledger."""
@@ -124,7 +124,7 @@ class PackMemory:
         return _learned(pack, after.findings)
 
 
-def with_capacity(options: PackOptions, name: str, rated_Ah: float) -> PackOptions:
+def _with_capacity(options: PackOptions, name: str, rated_Ah: float) -> PackOptions:
     """Return the options with the rated capacity [Ah] that the ledger has of the pack `name`."""
     return replace(options, capacity_Ah=rated_Ah, names=options.names._replace(capacity=_source(name)))
 

@@ -194,10 +194,10 @@ def _one(
 ) -> dict[str, Any]:
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.flights import ReplayedFlight, flights_of
+    from uavbatt.log_replay.load_options import stated_load
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
-    from uavbatt.prediction.load.options import stated_load
     from uavbatt.report.flight import text as flight_text
     from uavbatt.telemetry.discharges import of_discharges
 

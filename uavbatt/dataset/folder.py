@@ -21,24 +21,23 @@ import msgspec
 
 from uavbatt.dataset.checks import check_runs
 from uavbatt.dataset.discharge_csv import read_runs
-from uavbatt.dataset.records import Array, DataSet, Flag, Run, Uncertainty
+from uavbatt.dataset.records import Array, DataSet, Flag, Positive, Run, Uncertainty
 from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
 from uavbatt.limits import CAPACITY_AH, capacity_doubt, ending_doubt
 
 TEMPLATE_FILES = ("battery.toml", "discharge.csv")
 _T = TypeVar("_T", bound=msgspec.Struct)
-_Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class _Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     name: Annotated[str, msgspec.Meta(min_length=1)]
     chemistry: str
     cells_series: Annotated[int, msgspec.Meta(ge=1, le=100)]
-    cutoff_V: _Positive
+    cutoff_V: Positive
     load: str
     source: str
-    capacity_Ah: _Positive | None = None
+    capacity_Ah: Positive | None = None
     uncertainty: Uncertainty = Uncertainty()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_Positive = Annotated[float, msgspec.Meta(gt=0)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,13 @@ class Run:
 class Uncertainty(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Uncertainty states the standard uncertainties and resolutions of the instruments; None = not stated."""
 
-    voltage_resolution_V: _Positive | None = None
-    voltage_calibration_V: _Positive | None = None
-    current_resolution_A: _Positive | None = None
-    current_calibration_A: _Positive | None = None
-    reading_time_s: _Positive | None = None
-    temperature_resolution_C: _Positive | None = None
-    temperature_calibration_C: _Positive | None = None
+    voltage_resolution_V: Positive | None = None
+    voltage_calibration_V: Positive | None = None
+    current_resolution_A: Positive | None = None
+    current_calibration_A: Positive | None = None
+    reading_time_s: Positive | None = None
+    temperature_resolution_C: Positive | None = None
+    temperature_calibration_C: Positive | None = None
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -17,8 +17,6 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile, Certificate, EffectEntry, Verdict
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import true_power
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.refit import residual
@@ -29,11 +27,10 @@ from uavbatt.diagnosis.search.worth import left_out_values
 from uavbatt.engine import PLAIN, Engine
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.assemble import rounded
-from uavbatt.log_replay.in_air import in_air
+from uavbatt.log_replay.load_options import logged_load
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load.scenarios import LoggedLoad
-from uavbatt.prediction.load.waits import in_air_s, waits_in
+from uavbatt.prediction.load.waits import in_air_s
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.quality.drawn import loaded_A
@@ -181,22 +178,19 @@ def remaining(
     end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A(amps))
     if not math.isfinite(end_s):
         return [], []
-    pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
-    power_W = np.maximum(true_power(pack, volts, amps), 0.0)
-    waits = waits_in(rows, power_W)
-    load = LoggedLoad(time_s, power_W, waits=waits)
+    flight = replace(flight, samples=tuple(thin))
+    load = logged_load(flight, file)
     estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A(amps)][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
-    run = list(steps(replace(flight, samples=tuple(thin)), estimator))
-    for step, is_flying in zip(run, in_air(run).flying, strict=True):
+    for step in steps(flight, estimator):
         line = step.remaining
-        if step.armed is False and not is_flying:  # between two flights of a pack
-            due = max(due, line.time_s + SETTLING_S)
+        settled_s = (over_s + SETTLING_S for begin_s, over_s in load.waits if begin_s <= line.time_s)
+        due = max([due, *settled_s])
         if line.time_s < due or line.time_s >= end_s:
             continue
         due += FORECAST_S
-        true_s = float(in_air_s(line.time_s, end_s, waits))
+        true_s = float(in_air_s(line.time_s, end_s, load.waits))
         is_known = math.isfinite(line.remaining_s)
         errors.append(abs(line.remaining_s - true_s) if is_known else true_s)
         hits.append(is_known and line.remaining_lo_s <= true_s <= line.remaining_hi_s)

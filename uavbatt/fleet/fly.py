@@ -22,10 +22,10 @@ from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.look import doubts_of_log, reasons
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
+from uavbatt.log_replay.load_options import stated_load
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import NAN, Flight, Sample
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined

@@ -85,7 +85,7 @@ class Outcome:
         checkpoints: forecasts before that end, with their errors; empty without one, and with a reserve.
         landing: the forecast at the last row in the air; None if the log shows no flight.
         reserve_soc: state of charge at which the forecasts end the flight, too; 0 is off.
-        waits: when the aircraft stood on the ground, disarmed: begin and end of each time [s].
+        waits: on the ground: begin and end of each [s].
     """
 
     rows: int
@@ -133,7 +133,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
     flown_s = time_s[air.flying] if air.flying.any() else time_s[:1]
-    waits = waits_of(time_s, np.array([row.armed is False for row in run]) & ~air.flying)
+    waits = waits_of(time_s, np.array([row.armed is False for row in run]), air.flying)
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),

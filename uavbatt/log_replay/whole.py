@@ -18,12 +18,12 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
+from uavbatt.log_replay.load_options import stated_load
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.remembering import check_cells, flight_for_ledger, health_before, name_of
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load.options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.small_chart import CHART, Span, captioned, small_chart, small_table
 from uavbatt.telemetry import read_log

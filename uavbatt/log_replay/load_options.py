@@ -13,8 +13,9 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UsageError
 from uavbatt.prediction.load.library import UnknownAircraft, learned_load
 from uavbatt.prediction.load.scenarios import STATED_SPREAD, ConstantLoad, Load, LoggedLoad, RecentMean
-from uavbatt.prediction.load.waits import waits_in
+from uavbatt.prediction.load.waits import waits_of
 from uavbatt.records import Flight
+from uavbatt.telemetry.quality.drawn import loaded_A
 
 OPTION = "--load "  # as the command line spells it
 WORDS = ("learned", "recent", "log")
@@ -40,15 +41,24 @@ def stated_load(
     if text == "recent":
         return RecentMean()
     if text == "log":
-        rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
-        if len(rows) < 2:
-            raise UsageError(f"{flight.source}: {name}log: expected rows with voltage and current")
-        sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
-        time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in rows]).T
-        begins_s = tuple(begin_s for begin_s, _ in flight.discharges)
-        power_W = np.maximum(true_power(sensors, volts, amps), 0.0)
-        return LoggedLoad(time_s, power_W, begins_s, waits_in(rows, power_W))
+        return logged_load(flight, battery, name)
     return ConstantLoad(_watts(text, name), STATED_SPREAD)
+
+
+def logged_load(flight: Flight, battery: BatteryFile | None = None, name: str = OPTION) -> LoggedLoad:
+    """Return the flight's own power, without its waits on the ground; `battery` and `name` as for `stated_load`.
+
+    Raises UsageError where the flight has no power.
+    """
+    rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+    if len(rows) < 2:
+        raise UsageError(f"{flight.source}: {name}log: expected rows with voltage and current")
+    sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
+    time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in rows]).T
+    power_W = np.maximum(true_power(sensors, volts, amps), 0.0)
+    begins_s = tuple(begin_s for begin_s, _ in flight.discharges)
+    waits = waits_of(time_s, np.array([row.armed is False for row in rows]), amps > loaded_A(amps))
+    return LoggedLoad(time_s, power_W, begins_s, waits)
 
 
 def check_word(text: str) -> None:
