@@ -104,11 +104,11 @@ def cells_doubt(
     """
     first_V, rested_V = voltages.first_V / cells, voltages.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
-        words = f"{voltages.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(voltages, LOWEST_CELL_V)}"
+        words = f"{voltages.first_V:.1f} V is {first_V:.3g} V a cell, {_expected_cells(voltages, LOWEST_CELL_V)}"
         return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.empty_V:
         expected = _expected_cells(voltages, resting.empty_V)
-        words = f"{voltages.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {expected}"
+        words = f"{voltages.rested_V:.1f} V at rest is {rested_V:.3g} V a cell, {expected}"
         return Doubt(Notice(f"{_count(cells)}: {words}", Kind.CELLS), True)
     if rested_V < resting.low_V:
         words = f"{_count(cells)} at {rested_V:.1f} V a cell at rest"

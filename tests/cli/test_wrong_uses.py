@@ -117,7 +117,7 @@ REFUSED: dict[str, Use] = {
     "no capacity": Use(("replay", "f.csv"), 2, ("f.csv", "capacity", "--capacity-ah")),
     "negative capacity": Use(("replay", "f.csv", "--capacity-ah", "-5"), 2, ("--capacity-ah", "positive")),
     "mAh": Use(("replay", "f.csv", "--capacity-ah", "5000"), 2, ("5000 Ah", "0.05 to 500 Ah", "(mAh?)")),
-    "99 cells": Use(replayed("f.csv", "--cells", "99"), 2, ("99 cells", "0.2 V a cell", "2.5 to 4.45 V")),
+    "99 cells": Use(replayed("f.csv", "--cells", "99"), 2, ("99 cells", "0.164 V a cell", "2.5 to 4.45 V")),
     "half the cells": Use(replayed("f.csv", "--cells", "2"), 2, ("2 cells", "8.1 V a cell", "2.5 to 4.45 V")),
     "a cut-off of 100 V": Use(replayed("f.csv", "--cutoff-voltage", "100"), 2, ("25 V a cell", "2 to 4.2 V")),
     "a cut-off of a cell": Use(replayed("f.csv", "--cutoff-voltage", "3.3"), 2, ("one cell's value?", "13.2 V")),

@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import linregress
 
 from uavbatt import dataset
 from uavbatt.dataset import DataSet, Run
 from uavbatt.validation.gating.ambient_claims import ambient_claims
-from uavbatt.validation.gating.budget import ONE_SIDED
+from uavbatt.validation.gating.budget import ONE_SIDED, expand
 from uavbatt.validation.gating.gate import Limits
 from uavbatt.validation.gating.heldout import HeldOut, HeldOutRun
 from uavbatt.validation.judging.readings import Readings, read_once
 
 TIME_S = np.arange(0.0, 300.0, 60.0)
 VOLTS = np.linspace(12.4, 10.9, TIME_S.size)
+SCATTER_V = (0.0, 0.01, -0.01, 0.0, -0.01, 0.01)  # of six runs a degree apart
 
 
 def repeated(*ambients_C: float) -> DataSet:
@@ -56,6 +58,14 @@ def test_repeats_at_another_temperature_are_one_claim_without_a_verdict() -> Non
     (claim,) = ambient_claims(readings, held_out(readings), Limits())
     assert (claim.ambient_C, claim.verdict, claim.gates) == (0.0, "not enough data", False)
     assert claim.bias == pytest.approx(0.05) and claim.reason.startswith("3 runs; of the repeated temperatures one")
+    assert claim.at.size == TIME_S.size  # no mean of the runs is near the limiter
+
+
+def test_repeats_are_compared_until_their_mean_reaches_the_limiter() -> None:
+    tests = repeated(0.0, 25.0)
+    readings = read_once(replace(tests, cutoff_V=float(VOLTS[3]) - Limits().limiter_margin_V + 0.005))
+    (claim,) = ambient_claims(readings, held_out(readings), Limits())
+    assert claim.at.tolist() == TIME_S[:4].tolist()  # the lowest of three runs alone is there an instant before
 
 
 def test_a_run_alone_says_that_it_is_alone() -> None:
@@ -68,8 +78,7 @@ def test_a_run_alone_says_that_it_is_alone() -> None:
 def near_repeats(*, home: tuple[int, ...]) -> Readings:
     """Six runs of sample B a degree apart, three of A at 25 °C, and the runs `home` of B there, 0.1 V lower."""
     tests = repeated(25.0)
-    scatter_V = (0.0, 0.01, -0.01, 0.0, -0.01, 0.01)
-    line = [replace(tests.runs[0], sample="B", run=1, ambient_C=float(t), voltage_V=VOLTS + scatter_V[t])
+    line = [replace(tests.runs[0], sample="B", run=1, ambient_C=float(t), voltage_V=VOLTS + SCATTER_V[t])
             for t in range(6)]  # fmt: skip
     own = [replace(tests.runs[0], sample="B", run=run, voltage_V=VOLTS - 0.1) for run in home]
     return read_once(replace(tests, runs=(*tests.runs, *line, *own)))
@@ -86,6 +95,21 @@ def test_the_distance_of_a_series_from_the_repeats_widens_its_guard_band(
     meters_V = np.sqrt(claim.guard**2 - (ONE_SIDED * offset_V) ** 2 / 3.0)
     assert claim.reason.startswith("6 one-time runs") and np.isfinite(claim.half_width).all()
     assert meters_V == pytest.approx(ONE_SIDED * math.hypot(0.02, 0.01 / math.sqrt(12.0)), rel=1e-6)
+
+
+def test_the_scatter_about_the_line_is_that_of_a_regression() -> None:
+    """At 0 °C, the end of the line, its mean is known less well than at 3 °C."""
+    readings = near_repeats(home=(1, 2, 3))
+    claims = {c.ambient_C: c for c in ambient_claims(readings, held_out(readings), Limits())}
+    t, centre_C = np.arange(6.0), 2.5
+    line = linregress(t, SCATTER_V)
+    sd_V = float(np.sqrt(np.sum((np.array(SCATTER_V) - line.intercept - line.slope * t) ** 2) / 4))
+    for ambient_C in (0.0, 3.0):
+        claim = claims[ambient_C]
+        mean_sd_V = sd_V * math.sqrt(1 / 6 + (ambient_C - centre_C) ** 2 / np.sum((t - centre_C) ** 2))
+        expected_V = expand(np.full(TIME_S.size, mean_sd_V), 4.0, claim.guard / ONE_SIDED, TIME_S.size).half
+        assert claim.half_width == pytest.approx(expected_V, rel=1e-6)
+    assert (claims[0.0].half_width > claims[3.0].half_width).all()
 
 
 def test_a_series_without_a_test_beside_the_repeats_has_no_interval() -> None:
