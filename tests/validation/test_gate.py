@@ -221,6 +221,14 @@ def test_the_budget_adds_up_and_names_every_source(study: DataSet, held: HeldOut
     assert (b.rows[1].u[1:4] > 0.02).all()  # the study's step after run 6
 
 
+@pytest.mark.parametrize("occasions", [4, 8])
+def test_with_a_perfect_thermometer_a_budget_has_one_degree_of_freedom_less_than_occasions(occasions: int) -> None:
+    residual_K = np.resize([1.0, -1.0, -1.0, 1.0], (occasions, 1)) * np.ones((1, 2))  # the halves have equal means
+    b = budget.surface_budget(np.array([0.0, 60.0]), residual_K, Uncertainty(temperature_calibration_C=0.0))
+    assert b.df == pytest.approx(occasions - 1.0)
+    assert b.combined == pytest.approx(residual_K.std(axis=0, ddof=1) / math.sqrt(occasions))
+
+
 def test_the_slope_is_not_taken_across_the_start_of_the_load(held: HeldOut) -> None:
     slope = budget.loaded_slope(held)
     assert slope[0] == 0.0
