@@ -30,7 +30,7 @@ from uavbatt.live.feeds.web import content
 from uavbatt.live.report import Report
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Status
-from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv
+from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv, edgetx_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -117,10 +117,10 @@ def test_the_telemetry_csv(tmp_path: Path) -> None:
 
 
 def test_the_tables_of_other_programs() -> None:
-    for number, module in enumerate((airdata_csv, dji_record_csv, blackbox_csv)):
+    for number, module in enumerate((airdata_csv, dji_record_csv, edgetx_csv, blackbox_csv)):
         of_one_cell = {k: v for k, v in module.COLUMNS.items() if not k.startswith("cell_") or k == "cell_1_V"}
         names = [name for theirs in (*of_one_cell.values(), *getattr(module, "WORDS", {}).values()) for name in theirs]
-        agree(documented("DJI and blackbox CSV", number), names)
+        agree(documented("DJI, radio and blackbox CSV", number), names)
 
 
 def test_the_battery_file(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ class Flight:
     """
 
     source: str
-    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "ulog" | "csv" | "airdata" | "dji-record" | "blackbox"
+    kind: str  # dataflash-binary, dataflash-text, tlog, ulog, csv, airdata, dji-record, edgetx or blackbox
     samples: tuple[Sample, ...]
     instance: int = 0
     instances: tuple[int, ...] = (0,)

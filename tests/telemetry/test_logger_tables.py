@@ -1,4 +1,4 @@
-"""Tables that apps and loggers write: DJI flights (AirData, Flight Reader) and decoded blackbox logs.
+"""Tables that apps and loggers write: DJI flights (AirData, Flight Reader), logs of radios, decoded blackbox logs.
 
 The files are made up; their columns, units and rates are those of real exports.
 """
@@ -6,6 +6,7 @@ The files are made up; their columns, units and rates are those of real exports.
 from __future__ import annotations
 
 import math
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,6 +27,11 @@ RECORD = (
 )
 BLACKBOX = (
     "loopIteration, time (us), vbatLatest (V), amperageLatest (A), energyCumulative (mAh), flightModeFlags (flags)\n"
+)
+
+RADIO = (
+    "Date,Time,1RSS(dB),RQly(%),TPWR(mW),GPS,Alt(m),RxBt(V),Curr(A),Capa(mAh),Bat%(%),FM,Rud,Thr,SA,LSW,CH1(us),"
+    "TxBat(V)\n"
 )
 
 
@@ -119,6 +125,66 @@ def test_what_the_pack_states_holds_from_its_first_word(tmp_path: Path) -> None:
 def test_a_dji_flight_record_without_a_blank_or_a_suffix(tmp_path: Path) -> None:
     text = "sep=,\n" + RECORD.replace(", ", ",") + record_row(0)
     assert read(tmp_path, text, "record").kind == "dji-record"
+
+
+def radio_row(
+    clock: str, volts: float, amps: float, *, mode: str = "ACRO", quality: int = 100, day: str = "2026-05-01"
+) -> str:
+    fields = f'-52,{quality},250,47.5 8.5,31,{volts:.1f},{amps:.1f},12,98,"{mode}",0,-12,1,0x0000000000000000,1500,7.9'
+    return f"{day},{clock},{fields}\n"
+
+
+def test_a_radio_s_log_gives_each_reading_once(tmp_path: Path) -> None:
+    """Ten rows a second, of which the receiver sends two."""
+    rows = [radio_row(f"23:59:58.{100 * k:03d}", 16.4 - 0.1 * (k // 5), 20.0 + k // 5) for k in range(10)]
+    rows += [radio_row("00:00:01.000", 16.2, 22.0, day="2026-05-02")]  # over midnight
+    flight = read(tmp_path, RADIO + "".join(rows))
+    assert (flight.kind, flight.notes) == ("edgetx", ())
+    read_of = [(s.time_s, s.voltage_V, s.current_A) for s in flight.samples]
+    assert read_of == [(0.0, 16.4, 20.0), (0.5, 16.3, 21.0), (3.0, 16.2, 22.0)]
+    assert math.isnan(flight.samples[0].reported_soc) and math.isnan(flight.samples[0].consumed_Ah)
+
+
+def test_a_flight_mode_tells_the_arming_once_it_has_marked_it(tmp_path: Path) -> None:
+    """Betaflight sets a star, INAV has modes of its own; an aircraft that does neither tells nothing."""
+    modes = ("ACRO", "ACRO*", "AIR", "!FS!", "OK", "WAIT", "!ERR", "AIR")
+    rows = [radio_row(f"12:00:{k:02d}.000", 16.4, 1.0, mode=mode) for k, mode in enumerate(modes)]
+    armed = [s.armed for s in read(tmp_path, RADIO + "".join(rows)).samples]
+    assert armed == [None, False, True, True, False, False, False, True]
+
+
+def test_what_a_radio_repeats_without_a_link_is_no_reading(tmp_path: Path) -> None:
+    rows = [radio_row(f"12:00:{k:02d}.000", 16.4, 20.0, quality=0 if 2 <= k < 8 else 90) for k in range(10)]
+    flight = read(tmp_path, RADIO + "".join(rows))
+    assert [s.time_s for s in flight.samples] == [0.0, 1.0, 8.0, 9.0]
+    assert flight.notes == ("6 rows without a link to the aircraft dropped",)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("Date,Time,RSSI(dB),RxBt(V),VFAS(V),Curr(A),TxBat(V)", "2026-05-01,12:00:00.500,80,5.1,16.4,21.5,7.9"),
+        ("Date,Time,Vbat(V),Curr(A),Vbec(V),LSW", "2026-05-01,12:00:00,16.4,21.5,5.1,0x0"),
+    ],
+)
+def test_the_sensors_of_other_receivers(tmp_path: Path, header: str, row: str) -> None:
+    """With FrSky, `RxBt` is the receiver's own supply."""
+    (sample,) = read(tmp_path, f"{header}\n{row}\n").samples
+    assert (sample.voltage_V, sample.current_A, sample.armed) == (16.4, 21.5, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Date,Time,1RSS(dB),Curr(A),TxBat(V)\n2026-05-01,12:00:00.000,-50,3,7.9\n",
+         "header: expected a column `VFAS(V)` or `Vbat(V)` or `RxBt(V)`, found none"),
+        (RADIO + radio_row("12:00", 16.0, 1.0).replace("12:00", "noon"),
+         "row 1 (line 2), column Time: expected a time as 16:39:41.300, found `noon`"),
+    ],
+)  # fmt: skip
+def test_a_radio_s_log_without_a_pack_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(words)):
+        read(tmp_path, text)
 
 
 def blackbox_rows(seconds: float, rate_Hz: int = 1000) -> str:

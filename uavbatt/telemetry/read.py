@@ -25,7 +25,7 @@ from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 if TYPE_CHECKING:
     from uavbatt.telemetry.columns import Columns
 
-KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
+KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI, radio or blackbox)"
 STANDARD_INPUT = "-"
 MOST_BYTES = 2**32  # the largest file on the FAT32 card of an autopilot
 _HEAD_BYTES = 65_536
@@ -242,6 +242,10 @@ def _rows(kind: str, source: str, data: Content, system: int | None, has_route: 
         from uavbatt.telemetry.formats.dji_record_csv import read_dji_record
 
         return read_dji_record(source, whole)
+    if kind == "edgetx":
+        from uavbatt.telemetry.formats.edgetx_csv import read_edgetx
+
+        return read_edgetx(source, whole)
     if kind == "blackbox":
         from uavbatt.telemetry.formats.blackbox_csv import read_blackbox
 

@@ -17,6 +17,8 @@ from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
 Cell = Callable[[str], float]  # raises ValueError for a cell that is none
 Columns = Mapping[str, Mapping[str, Cell]]  # our name -> the program's names; the first that is present counts
 _BEGINNING = 1 << 16  # bytes in which a table names the aircraft and the battery
+_OF_RADIOS = {"TxBat(V)", "LSW", "RxBt(V)", "VFAS(V)", "Curr(A)"}  # a radio's log has one of them at least
+_NO_NUMBERS = {"Date": "a day as 2026-05-01", "Time": "a time as 16:39:41.300"}
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
 
 
@@ -41,12 +43,17 @@ def truth(cell: str) -> float:
 
 
 def kind_of_table(head: bytes) -> str:
-    """Return the kind of log whose table begins with `head`: `airdata`, `dji-record`, `blackbox`, else `csv`."""
+    """Return the kind of log whose table begins with `head`.
+
+    It is `airdata`, `dji-record`, `edgetx` or `blackbox`, else `csv`.
+    """
     names = _header(csv.reader(head.decode("utf-8-sig", errors="replace").splitlines()))
     if "time(millisecond)" in names:
         return "airdata"
     if any(name.startswith("OSD.") for name in names):
         return "dji-record"
+    if names[:2] == ["Date", "Time"] and _OF_RADIOS & set(names):
+        return "edgetx"
     return "blackbox" if "loopIteration" in names else "csv"
 
 
@@ -79,7 +86,8 @@ def read_rows(
             try:
                 values[ours] = read(cell) if cell else NAN
             except ValueError:
-                raise BadInput(source, f"{place}, column {header[index]}", f"a number, found `{cell[:40]}`") from None
+                expected = _NO_NUMBERS.get(header[index], "a number")
+                raise BadInput(source, f"{place}, column {header[index]}", f"{expected}, found `{cell[:40]}`") from None
         yield TableRow(tuple(cells[index] for index, _ in chosen.values()), values)
 
 
