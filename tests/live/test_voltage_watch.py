@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from scoring.live_flight import flown_live
 from scoring.scenarios import ARDUPILOT, UNSTATED, part
@@ -33,3 +35,26 @@ def test_who_lands_in_time_is_not_told_to_land() -> None:
 def test_cells_that_cannot_be_leave_no_cut_off_to_fall_to() -> None:
     watch = VoltageWatch(battery_file.read_battery("lipo-generic"), PackOptions(cells=12))
     assert not any(watch.step(Sample(float(k), 16.0 - 0.1 * k, 20.0, armed=True), PackFacts()) for k in range(60))
+
+
+def told_s(watch: VoltageWatch, rows: list[Sample], facts_at: Callable[[float], PackFacts]) -> float:
+    """When the watch says first that the end is near [s]."""
+    return next(row.time_s for row in rows if watch.step(row, facts_at(row.time_s)))
+
+
+def test_a_cut_off_that_is_told_in_flight_counts_from_then_on() -> None:
+    rows, low, high = part(), PackFacts(4, critical_voltage_V=12.8), PackFacts(4, critical_voltage_V=13.6)
+    battery, late_s = battery_file.read_battery("lipo-generic"), rows[0].time_s + 60.0
+    told = [
+        told_s(VoltageWatch(battery, UNSTATED), rows, facts_at)
+        for facts_at in (lambda t: high, lambda t: high if t > late_s else low, lambda t: low)
+    ]
+    assert told[0] == told[1] < told[2]
+
+
+def test_a_first_row_on_usb_power_hides_no_end() -> None:
+    """With four cells stated, 5 V are refused until the pack is there."""
+    rows = part()
+    watch = VoltageWatch(battery_file.read_battery("lipo-generic"), PackOptions(cells=4))
+    assert not watch.step(Sample(rows[0].time_s - 1.0, 5.0, 0.1, armed=False), PackFacts())
+    assert 30.0 < rows[-1].time_s - told_s(watch, rows, lambda t: PackFacts()) < 200.0
