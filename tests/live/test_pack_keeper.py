@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
+from concurrent.futures import Future
 from dataclasses import replace
 
 import pytest
@@ -12,9 +13,12 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.model import open_circuit_voltage
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing.pack_size import PackOptions
+from uavbatt.live.memory.kept_flight import LedgerBattery
 from uavbatt.live.memory.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
+from uavbatt.packs.airborne import ROW_S
 from uavbatt.packs.ledger import Ledger
+from uavbatt.records import Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 BATTERY = battery_file.read_battery("lpab-3s")
@@ -60,6 +64,20 @@ def assert_saved_whole(path, rows):
         (found,) = ledger.flights("A")
         assert airborne.left_over(ledger) == []
     assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+
+
+@pytest.mark.parametrize("thermometer", [True, False])
+def test_fast_rows_are_kept_as_means(thermometer: bool) -> None:
+    """Two rows a second; a thermometer that has not spoken in a block leaves its temperature unknown."""
+    battery = LedgerBattery("A", Future())
+    for k in range(1 + int(2.0 * 2.0 * ROW_S)):  # two blocks, with the rows at both of their edges
+        temp_C = 20.0 + k % 2 if thermometer else math.nan
+        battery.add(Sample(7.0 + 0.5 * k, 16.0 - 0.1 * k, 10.0 + k, temp_C, armed=True), 1000.0 + 0.5 * k)
+    first, *_ = battery.rows
+    assert len(battery.rows) == 1 and len(battery.block) == int(2.0 * ROW_S)
+    assert first.time_s == pytest.approx(1000.0 + ROW_S / 2.0)
+    assert first.current_A == pytest.approx(10.0 + ROW_S) and first.voltage_V == pytest.approx(16.0 - 0.1 * ROW_S)
+    assert 20.0 < first.temp_C < 21.0 if thermometer else math.isnan(first.temp_C)
 
 
 def test_a_damaged_ledger_is_a_note_and_no_end(tmp_path, rows):
