@@ -80,6 +80,15 @@ def test_fast_rows_are_kept_as_means(thermometer: bool) -> None:
     assert 20.0 < first.temp_C < 21.0 if thermometer else math.isnan(first.temp_C)
 
 
+def test_of_a_wait_on_the_ground_the_last_half_minute_is_kept() -> None:
+    battery = LedgerBattery("A", Future())
+    for k in range(300):
+        battery.add(Sample(float(k), 16.0, 0.3, 20.0, armed=False), 1000.0 + k)
+        battery.settle(False, 1000.0 + k)
+    assert 1269.0 <= battery.rows[0].time_s < battery.rows[-1].time_s < 1299.0
+    assert battery.disarmed_s == 1000.0
+
+
 def test_a_damaged_ledger_is_a_note_and_no_end(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     flown(keeper(path), rows).close(rows[-1].time_s)
