@@ -112,6 +112,26 @@ def test_a_crash_is_resumed_with_the_charge_drawn_meanwhile(tmp_path: Path) -> N
     assert third.daemon.board.notes[0] == "not resumed: saved state is 739 s old"
 
 
+def test_a_parameter_that_is_no_number_costs_no_saved_state(tmp_path: Path) -> None:
+    state = StateSection(file=str(tmp_path / "state.json"))
+    first = Bench(state=state)
+    first.send(dialect.MAVLink_param_value_message(b"BATT_LOW_VOLT", math.nan, 9, 2, 0))
+    first.send(dialect.MAVLink_param_value_message(b"BATT_CRT_VOLT", 13.2, 9, 2, 1))
+    first.fly(60.0)
+    first.daemon.close()
+    assert json.loads(Path(state.file).read_text())["parameters"] == {"BATT_CRT_VOLT": pytest.approx(13.2)}
+    second = Bench(state=state, start_s=first.now_s + 1.0)
+    second.fly(1.0)
+    assert second.daemon.board.notes[0].startswith("battery 0: resumed from a state ")
+
+
+@pytest.mark.parametrize("capacity_Ah", [math.nan, 5.0])
+def test_the_log_has_a_line_about_the_pack_and_no_more(capacity_Ah: float, capsys: pytest.CaptureFixture[str]) -> None:
+    Bench(PackOptions(cells=4, capacity_Ah=capacity_Ah)).fly(20.0)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "battery 0: " in line]
+    assert len(lines) == 1 and ("no estimate yet: capacity: " in lines[0]) == math.isnan(capacity_Ah)
+
+
 def fly_on(bench: Bench, *batteries: int) -> None:
     """Fly half a minute on these batteries at 12 A each."""
     for k in range(60):

@@ -66,6 +66,15 @@ def test_a_flight_that_is_resumed_before_the_first_heartbeat_goes_on(ledger: Pat
     bench.daemon.close()
 
 
+def test_a_process_that_is_stopped_in_the_air_leaves_its_last_rows_in_the_ledger(ledger: Path) -> None:
+    bench = Bench(OPTIONS, settings=SELDOM, packs=PacksSection(str(ledger), "A"))
+    bench.fly(68.0)
+    bench.daemon.close()
+    with Ledger(ledger) as opened:
+        (flight,) = airborne.left_over(opened)
+    assert flight.flight.name == "A" and flight.rows[-1].time_s > 68.0 - 2.0 * airborne.ROW_S
+
+
 def test_rows_of_the_vehicle_that_comes_next_are_in_no_flight_of_the_last_one(ledger: Path) -> None:
     bench = Bench(OPTIONS, settings=SELDOM, packs=PacksSection(str(ledger)))
     bench.send(dialect.MAVLink_param_value_message(b"BATT_SERIAL_NUM", 7.0, 9, 1, 0))
