@@ -142,7 +142,8 @@ def test_a_radio_s_log_gives_each_reading_once(tmp_path: Path) -> None:
     assert (flight.kind, flight.notes) == ("edgetx", ())
     read_of = [(s.time_s, s.voltage_V, s.current_A) for s in flight.samples]
     assert read_of == [(0.0, 16.4, 20.0), (0.5, 16.3, 21.0), (3.0, 16.2, 22.0)]
-    assert math.isnan(flight.samples[0].reported_soc) and math.isnan(flight.samples[0].consumed_Ah)
+    assert math.isnan(flight.samples[0].reported_soc)
+    assert [s.consumed_Ah for s in flight.samples] == pytest.approx([0.012] * 3)
 
 
 def test_a_flight_mode_tells_the_arming_once_it_has_marked_it(tmp_path: Path) -> None:

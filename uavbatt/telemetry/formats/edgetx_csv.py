@@ -3,10 +3,11 @@
     Date, Time          of the radio's clock; a file may hold several flights of a day
     VFAS(V)             voltage of the pack by FrSky's sensor, with Rotorflight Vbat(V), over Crossfire or ELRS RxBt(V)
     Curr(A)             current; positive discharges
+    Capa(mAh)           charge drawn, counted by the aircraft: if it begins again, the pack was changed
     FM                  flight mode; `*` behind it (Betaflight), `OK`, `WAIT` and `!ERR` (INAV) mean disarmed
     RQly(%), RSSI(dB)   quality of the link. At 0 it is lost, and the radio writes the last reading again and again
-The radio writes up to ten rows a second of a few readings: see `smart_pack`. Its percentage and its count of the charge
-are not read. The capacity is not in the file, and the clock's zone is not known.
+The radio writes up to ten rows a second of a few readings: see `smart_pack`. The percentage is not read. The file does
+not tell the capacity, nor the zone of the clock.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from datetime import date, time
 
 from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.formats.logger_table import NUMBER, Columns, TableRow, read_rows
+from uavbatt.telemetry.formats.logger_table import MILLI, NUMBER, Columns, TableRow, read_rows
 from uavbatt.telemetry.formats.smart_pack import add_rows
 
 DAY_S = 86_400.0
 DISARMED = ("OK", "WAIT", "!ERR")
+TELLING = ("voltage_V", "current_A", "motors")  # a row that changes none of them repeats the one before it
 LOST = "rows without a link to the aircraft dropped"
 
 
@@ -45,6 +47,7 @@ COLUMNS: Columns = {
     "day_s": {"Date": _day_s},
     "voltage_V": {"VFAS(V)": NUMBER, "Vbat(V)": NUMBER, "RxBt(V)": NUMBER},
     "current_A": {"Curr(A)": NUMBER},
+    "consumed_Ah": {"Capa(mAh)": MILLI},
     "is_disarmed": {"FM": _is_disarmed},
     "quality": {"RQly(%)": NUMBER, "RSSI(dB)": NUMBER},
 }
@@ -71,6 +74,5 @@ def _heard(rows: Iterable[TableRow], log: LogBuilder) -> Iterator[TableRow]:
         is_disarmed = values.get("is_disarmed", NAN) == 1.0
         shows_arming = shows_arming or is_disarmed
         motors = float(not is_disarmed) if shows_arming else NAN
-        time_s, volts, amps = values["day_s"] + values["time_s"], values["voltage_V"], values.get("current_A", NAN)
-        telling = ("", str(volts), str(amps), str(motors))
-        yield TableRow(telling, {"time_s": time_s, "voltage_V": volts, "current_A": amps, "motors": motors})
+        now = {**values, "time_s": values["day_s"] + values["time_s"], "motors": motors}
+        yield TableRow(("", *(str(now.get(name)) for name in TELLING)), now)

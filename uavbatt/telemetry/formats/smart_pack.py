@@ -51,6 +51,7 @@ def _sample(time_s: float, row: TableRow) -> Sample:
         voltage_V=values["voltage_V"],
         current_A=values.get("current_A", NAN),
         temp_C=values.get("temp_C", NAN),
+        consumed_Ah=values.get("consumed_Ah", NAN),
         armed=None if math.isnan(motors) else bool(motors),
         cell_voltages_V=tuple(volts for volts in cells if volts > 0.0),  # 0: the pack does not have this cell
     )
