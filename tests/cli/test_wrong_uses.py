@@ -171,7 +171,9 @@ NOTED: dict[str, Use] = {
     "one cell too many": Use(replayed("f.csv", "--cells", "5"), 0, ("3.2 V a cell", "nearly empty, or another count")),
     "negative current": Use(replayed("negative.csv"), 0, ("the sensor's sign is reversed", "not known")),
     "another battery file": Use(
-        replayed("f.csv", "--battery", "lpab-3s"), 0, ("3S pack; this one is scaled", "far off what this battery file")
+        replayed("f.csv", "--battery", "lpab-3s"),
+        0,
+        ("3S pack", "this one is scaled", "far off what this battery file"),
     ),
     "another vehicle file": Use(replayed("f.csv", "--vehicle", "m100.vehicle.toml"), 0, ("this aircraft draws", "W")),
     "two vehicles": Use(replayed("vehicles.tlog"), 0, ("battery messages of system 42", "ignored", "system 1")),

@@ -113,7 +113,9 @@ def test_outside_the_validated_range_is_said() -> None:
     assert planned(ambient_C=25.0, battery=battery).remark == ""
     assert planned(ambient_C=25.0).remark == "not tested at any temperature"
     warned = make_plan(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), TakeOff(20.0)).warnings
-    assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
+    assert warned == (
+        "the certificate is for a 3S pack of a capacity that its tests do not tell; this one is scaled from it",
+    )
 
 
 def test_a_range_goes_from_the_coldest_to_the_warmest_validated_temperature() -> None:

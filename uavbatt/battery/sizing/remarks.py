@@ -81,7 +81,8 @@ def uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
         return Notice(battery.caveat, Kind.UNCERTIFIED)
     if (cells, capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
         return ""
-    return f"the certificate is for a {_size(typed)} pack; this one is scaled from it"
+    known = "" if typed.capacity_Ah else " of a capacity that its tests do not tell"
+    return f"the certificate is for a {_size(typed)} pack{known}; this one is scaled from it"
 
 
 def _size(typed: Battery) -> str:
