@@ -37,6 +37,11 @@ def test_a_dated_flight_is_in_the_future_only_beyond_tomorrow() -> None:
     assert said_undated.lstrip().startswith("no date") and "future" not in said_undated
 
 
+def test_what_a_flight_did_not_tell_is_called_unknown() -> None:
+    (after,) = history([flight(0, soc_end=0.31, temp_mean_C=math.nan)])
+    assert "flight_00.tlog: charge unknown to 0.31, no temperature; " in flight_line(after, FIRST_UTC_S)
+
+
 def test_more_charge_after_some_minutes_is_another_pack_under_the_name() -> None:
     first = flight(0, soc_end=0.2)
     lands_s = FIRST_UTC_S + first.duration_s

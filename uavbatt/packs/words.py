@@ -72,6 +72,6 @@ def flight_line(after: LedgerFlight, now_utc_s: float) -> str:
     known = f"all so far {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
     words = "; ".join(said)
     temp = f"{flight.temp_mean_C:.0f} °C" if math.isfinite(flight.temp_mean_C) else "no temperature"
-    soc = f"charge {flight.soc_start:.2f} to {flight.soc_end:.2f}"
-    line = f"  {when or 'no date':<16}  {flight.source}: {soc}, {temp}; {told}; {known}"
+    soc_start, soc_end = (f"{x:.2f}" if math.isfinite(x) else "unknown" for x in (flight.soc_start, flight.soc_end))
+    line = f"  {when or 'no date':<16}  {flight.source}: charge {soc_start} to {soc_end}, {temp}; {told}; {known}"
     return f"{line}; {words}" if words else line
