@@ -16,7 +16,7 @@ from uavbatt.prediction.load.waits import Waits, in_air_s, waits_of
 from uavbatt.records import NAN, Status
 
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
-FORGOTTEN_S = 30.0
+FORGOTTEN_S, SETTLING_S = 30.0, 60.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 
@@ -121,35 +121,45 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     cutoff_V : cut-off of the pack [V]. With a reserve the forecasts are not judged, because the log shows only when the
     voltage ended the flight.
     """
-    time_s = np.array([s.estimate.time_s for s in run])
-    volts = np.array([s.estimate.voltage_V for s in run])
+    time_s, volts, nis = np.array([(s.estimate.time_s, s.estimate.voltage_V, s.estimate.nis) for s in run]).T
     air = in_air(run)
+    flown_s = time_s[air.flying]
     end_s = first_below_s(time_s, volts, air, cutoff_V)
-    known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
-    complete = [s for s in known if math.isfinite(s.innovation_V)]  # others are refused for want of a reading alone
-    is_known = bool(complete) and complete[-1].status is not Status.REFUSED and not _is_forgotten(run, air)
-    since_s = time_s[air.flying][0] + 60.0 if air.flying.any() else math.inf
-    judged = [s for s, f in zip(run, air.flying, strict=True) if f and s.estimate.time_s > since_s]
-    refused = sum(s.remaining.status is Status.REFUSED for s in judged)
-    nis = np.array([s.estimate.nis for s in run])
-    flown_s = time_s[air.flying] if air.flying.any() else time_s[:1]
     waits = waits_of(time_s, np.array([row.armed is False for row in run]), air.flying)
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
+    is_flight = time_s >= (flown_s[0] if flown_s.size else time_s[0])
+    end_soc, end_soc_sd = _charge_at_end(run, air)
     return Outcome(
         rows=len(run),
         duration_s=float(time_s[-1] - time_s[0]),
-        air_s=float(in_air_s(flown_s[0], flown_s[-1], waits)) if air.flying.any() else NAN,
+        air_s=float(in_air_s(flown_s[0], flown_s[-1], waits)) if flown_s.size else NAN,
         end_voltage_V=float(volts[np.isfinite(volts)][-1]) if np.isfinite(volts).any() else NAN,
-        end_soc=known[-1].soc if is_known else NAN,
-        end_soc_sd=known[-1].soc_sd if is_known else NAN,
+        end_soc=end_soc,
+        end_soc_sd=end_soc_sd,
         end_of_flight_s=end_s,
-        refused_in_air=refused / len(judged) if judged else NAN,
+        refused_in_air=_refused_share(run, air),
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, in_air_s(time_s, end_s, waits), time_s >= flown_s[0]) if is_judged else (),
+        checkpoints=_checkpoints(run, in_air_s(time_s, end_s, waits), is_flight) if is_judged else (),
         landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
         waits=waits,
     )
+
+
+def _charge_at_end(run: list[ReplayedRow], air: InAir) -> tuple[float, float]:
+    """Return the last state of charge and its standard deviation; NaN where it was refused or is not known any more."""
+    known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
+    complete = [s for s in known if math.isfinite(s.innovation_V)]  # others are refused for want of a reading alone
+    if not complete or complete[-1].status is Status.REFUSED or _is_forgotten(run, air):
+        return NAN, NAN
+    return known[-1].soc, known[-1].soc_sd
+
+
+def _refused_share(run: list[ReplayedRow], air: InAir) -> float:
+    """Return the share of the rows in the air, after the first minute, without a forecast; NaN if there are none."""
+    flown = [row for row, is_flying in zip(run, air.flying, strict=True) if is_flying]
+    judged = [row for row in flown if row.estimate.time_s > flown[0].estimate.time_s + SETTLING_S]
+    return sum(row.remaining.status is Status.REFUSED for row in judged) / len(judged) if judged else NAN
 
 
 def _is_forgotten(run: list[ReplayedRow], air: InAir) -> bool:

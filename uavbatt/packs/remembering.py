@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from uavbatt.packs.records import FlightEvidence, FlightRecord
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Sample, Status
 from uavbatt.telemetry.discharges import with_its_pack
-from uavbatt.telemetry.quality.drawn import drawn, loaded_A
+from uavbatt.telemetry.quality.drawn import DrawnCharge, drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # no forecasts are needed
 KEY_ROWS = 200
@@ -49,6 +50,19 @@ class FlightForLedger:
 
     record: FlightRecord | None
     why_not: str = ""
+
+
+class SeenFlight(NamedTuple):
+    """SeenFlight holds what one run over the rows of a flight has shown of its pack.
+
+    loaded : belief at LOOKS places under load; last : after the last row; failed_s : how long a sensor failed [s].
+    """
+
+    loaded: list[Belief]
+    last: Belief | None
+    soc_start: float
+    soc_end: float
+    failed_s: float
 
 
 def name_of(flight: Flight, stated: str = "") -> str:
@@ -84,38 +98,32 @@ def flight_for_ledger(
     """
     if is_in_future(flight.identity.start_utc_s, now_utc_s):
         return FlightForLedger(None, future_words(flight.identity.start_utc_s))
-    flight = with_its_pack(flight)
-    options, rows = of_known_cells(options, before), _metered(flight)
-    last_loaded = _last_loaded(rows)
+    flight, options = with_its_pack(flight), of_known_cells(options, before)
+    rows, facts = _metered(flight), _rated_facts(flight)
     if not rows:
         return FlightForLedger(None, "no current was measured")
+    last_loaded = _last_loaded(rows)
     if last_loaded is None:
         return FlightForLedger(None, f"less than {LEAST_LOADED_S:.0f} s under load")
-    facts = _rated_facts(flight)
     if facts.sag_compensated:
         return FlightForLedger(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
     size = _size(battery, options, flight, rows)
-    pack = sized(battery, size)
+    pack, total = sized(battery, size), drawn(rows, LONGEST_STEP_S)
+    if total.charge_Ah < LEAST_CHARGE * size.capacity_Ah:
+        return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
     estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
     estimator.update_facts(facts)
-    cuts = np.linspace(0, last_loaded + 1, LOOKS + 1).astype(int).tolist()
-    looks = [_run(estimator, rows[a:b]) for a, b in itertools.pairwise(cuts)]
-    end, last, _ = _run(estimator, rows[last_loaded + 1 :])
-    if sum(failed_s for *_, failed_s in looks) > MOST_FAILED_S:
+    seen = _seen(estimator, rows, last_loaded)
+    if seen.failed_s > MOST_FAILED_S:
         return FlightForLedger(None, "a sensor failed in flight: voltage or current were not true")
-    loaded = [belief for _, belief, _ in looks if belief is not None]
-    if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
+    if not seen.loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return FlightForLedger(None, "no estimate could be made")
     under_load = [row for row, is_loaded in zip(rows, _is_loaded(rows), strict=True) if is_loaded]
-    temp_C, is_generic = _mean_temp_C(under_load), battery.certificate.status == "generic"
-    estimates = [e for some, *_ in looks for e in some] + end
-    begun_later = _is_begun_later(rows, estimates[0].soc)
     said = evidence_of_flight(
-        pack, loaded, last or loaded[-1], temp_C, is_generic=is_generic, is_begun_later=begun_later
-    )
-    if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
-        return FlightForLedger(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
-    return FlightForLedger(_record(battery, size, pack, flight, rows, under_load, estimates, said))
+        pack, seen.loaded, seen.last or seen.loaded[-1], _mean_temp_C(under_load),
+        is_generic=battery.certificate.status == "generic", is_begun_later=_is_begun_later(rows, seen.soc_start),
+    )  # fmt: skip
+    return FlightForLedger(_record(battery, size, pack, flight, rows, under_load, total, seen, said))
 
 
 def check_cells(
@@ -153,18 +161,26 @@ def _rated_facts(flight: Flight) -> PackFacts:
     return replace(flight.facts_at(math.inf), full_share=1.0)
 
 
-def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None, float]:
-    """Return the first and the last estimate over some rows, the belief after them, and for how long a sensor failed
-    in them [s]."""
-    if not rows:
-        return [], None, 0.0
-    estimates = [estimate for estimate, _ in estimator.run(rows)]
-    failed_s = sum(
+def _seen(estimator: Estimator, rows: Sequence[Sample], last_loaded: int) -> SeenFlight:
+    """Run the estimator over some rows; return what it has seen. last_loaded : index of the last row under load."""
+    cuts = np.linspace(0, last_loaded + 1, LOOKS + 1).astype(int).tolist()
+    estimates, beliefs = list[Estimate](), list[Belief | None]()
+    for begin, end in itertools.pairwise(cuts):
+        estimates += (estimate for estimate, _ in estimator.run(rows[begin:end]))
+        beliefs.append(estimator.belief)
+    failed_s = _failed_s(estimates)
+    estimates += (estimate for estimate, _ in estimator.run(rows[last_loaded + 1 :]))
+    loaded = [belief for belief in beliefs if belief is not None]
+    return SeenFlight(loaded, estimator.belief, estimates[0].soc, estimates[-1].soc, failed_s)
+
+
+def _failed_s(estimates: Sequence[Estimate]) -> float:
+    """Return for how long a sensor failed in the rows of some estimates [s]."""
+    return sum(
         min(b.time_s - a.time_s, LONGEST_STEP_S)
         for a, b in itertools.pairwise(estimates)
         if b.status is Status.REFUSED and kind_of(b.reason) in FAILED_SENSORS
     )
-    return [estimates[0], estimates[-1]], estimator.belief, failed_s
 
 
 def _last_loaded(rows: Sequence[Sample]) -> int | None:
@@ -202,13 +218,13 @@ def _record(
     flight: Flight,
     rows: Sequence[Sample],
     under_load: Sequence[Sample],
-    estimates: Sequence[Estimate],
+    total: DrawnCharge,
+    seen: SeenFlight,
     said: FlightEvidence,
 ) -> FlightRecord:
-    """Return the record of a flight from its metered rows, of which some are `under_load`."""
+    """Return the record of a flight from its metered rows, of which some are `under_load`, and what was `drawn`."""
     temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
     weak_cell, weak_V = _weak_cell(under_load)
-    total = drawn(rows, LONGEST_STEP_S)
     return FlightRecord(
         key=key_of(flight.samples),
         told=said,
@@ -220,8 +236,8 @@ def _record(
         start_utc_s=flight.identity.start_utc_s,
         duration_s=rows[-1].time_s - rows[0].time_s,
         source=flight.source.replace("\\", "/").rpartition("/")[2],
-        soc_start=estimates[0].soc,
-        soc_end=estimates[-1].soc,
+        soc_start=seen.soc_start,
+        soc_end=seen.soc_end,
         charge_Ah=total.charge_Ah,
         energy_Wh=total.energy_Wh,
         temp_mean_C=_mean_temp_C(under_load),
