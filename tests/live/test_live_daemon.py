@@ -95,6 +95,15 @@ def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
     assert len(replayed) == 300
 
 
+def test_a_recording_is_on_the_disk_within_a_second(tmp_path: Path) -> None:
+    """The companion computer loses its power with the pack: what is not written by then is gone."""
+    bench = Bench(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
+    bench.fly(8.0)
+    (raw,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.jsonl")
+    assert len(read_log(raw).samples) >= 35 and len(lines.read_text().splitlines()) >= 35
+    bench.daemon.close()
+
+
 def test_a_crash_is_resumed_with_the_charge_drawn_meanwhile(tmp_path: Path) -> None:
     state = StateSection(file=str(tmp_path / "state.json"))
     first = Bench(state=state)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from uavbatt.live.report import LATE_ENDS_SOON, TREND_PERIOD_S, TREND_S, Report, Trend
@@ -12,6 +14,24 @@ def report(left_s: float, at_s: float, instance: int = 0) -> Report:
     estimate = Estimate(at_s, 0.5, 0.01, 15.0, 12.0, 25.0, 180.0, 0.0, 1.0, Status.OK)
     remaining = Remaining(at_s, left_s, left_s - 60.0, left_s + 90.0, NAN, Status.OK, "", left_s - 60.0)
     return Report(instance, 1, 1, estimate, remaining, at_s)
+
+
+@pytest.mark.parametrize(("late_s", "shown_s"), [(2.9, 300.0), (3.1, 296.9), (9.9, 290.1)])
+def test_a_delay_of_seconds_is_deducted_and_one_within_the_usual_is_not(late_s: float, shown_s: float) -> None:
+    late = report(300.0, 100.0).late_by(late_s)
+    assert late.at(100.0).remaining_s == pytest.approx(shown_s)
+    assert late.at(102.0).remaining_s == pytest.approx(shown_s - 2.0)
+    assert any("comes late" in warning for warning in late.estimate.warnings) == (shown_s < 300.0)
+
+
+def test_a_line_has_the_numbers_of_now() -> None:
+    found = replace(report(300.0, 100.0), cells=4, flying_since_s=40.0).as_line(102.04)
+    told = {"age_s": 2.04, "remaining_s": 298.0, "flight_s": 62.0, "cells": 4, "cell_voltage_V": 3.75, "waiting": False}
+    assert {key: found[key] for key in told} == told
+    unknown = report(300.0, 100.0).as_line(102.04)
+    assert unknown["cells"] is None and unknown["cell_voltage_V"] is None and unknown["plan_s"] is None
+    late = replace(report(300.0, 100.0), cells=4).as_line(110.0)
+    assert (late["status"], late["remaining_s"], late["cell_voltage_V"], late["cells"]) == ("stale", None, None, 4)
 
 
 def test_a_point_has_its_age_and_the_interval_of_its_time() -> None:
