@@ -426,6 +426,19 @@ def test_a_counter_of_another_scale_makes_no_current(kept: tuple[str, float], tm
     assert bench.daemon.board.reports[0].estimate.soc == pytest.approx(0.97, abs=0.03)
 
 
+def test_a_counter_that_has_begun_again_does_not_say_that_nothing_was_drawn(
+    kept: tuple[str, float], tmp_path: Path
+) -> None:
+    """The autopilot was restarted, too; the load before the two minutes is all that is known of them."""
+    path = tmp_path / "state.json"
+    path.write_text(kept[0])
+    bench, rows = restarted(path, kept[1] + 120.0), flight()[FLOWN + 2 : FLOWN + 4]
+    bench.play([replace(row, consumed_Ah=0.0) for row in rows])
+    drawn = rows[0].current_A * 122.0 / 3600.0 / 5.0
+    found, before = bench.daemon.board.reports[0].estimate.soc, true_soc(flight()[:FLOWN])
+    assert before - drawn < found < before - 0.3 * drawn  # the voltage, as of a pack that rested, has its say
+
+
 # --- the one check of a belief --------------------------------------------------------------------------------------
 
 
