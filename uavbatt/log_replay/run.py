@@ -21,7 +21,7 @@ from uavbatt.navigation import NOWHERE
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
-from uavbatt.telemetry.discharges import of_discharges
+from uavbatt.telemetry.discharges import of_discharges, with_its_pack
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 OFTEN = 0.1  # share of the forecasts
@@ -62,7 +62,7 @@ def estimator_for(
 
     Raises UsageError for a statement that the rows contradict.
     """
-    check_statements(battery, options, flight)
+    check_statements(battery, options, with_its_pack(flight))
     return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
 
 

@@ -19,6 +19,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
 SURE_ROWS = 2  # the first one alone may be damaged
+OTHER_SUPPLY = 1.5  # no pack rises by so much without being charged: the rows before were of USB power
 GAUGE_STEP = 0.05  # of the rated capacity
 
 
@@ -65,6 +66,8 @@ class KnownSize(NamedTuple):
             return self
         statements = self.statements.after(raw, sample, size)
         before, voltages = self.statements.voltages, statements.voltages
+        if voltages.first_V > OTHER_SUPPLY * before.first_V:
+            return self.anew(self.options).after(raw, sample)  # no row before this one was of a pack
         first_A = self.first_A if self.statements.rows else sample.current_A
         updated = self._replace(statements=statements, size=size, first_A=first_A)
         told = _told(sample) if len(sample.cell_voltages_V) > self.told else 0
