@@ -68,6 +68,25 @@ def test_the_voltage_of_usb_power_is_no_pack(cells: int, usb_V: float) -> None:
         assert math.isnan(estimate.voltage_V)
 
 
+@pytest.mark.parametrize("usb_V", [4.8, 5.25])
+@pytest.mark.parametrize("idle_A", [0.5, 2.5])
+def test_two_cells_are_changed_on_usb_power(usb_V: float, idle_A: float) -> None:
+    """Half of 5 V is a cell's: the old pack was thought to be empty, and the new one was taken for it."""
+    first = Pack(cells=2)
+    rows = rested(first, 20, 0.0)
+    powers_W = itertools.islice(Power(150.0).rows_W(3), 300)
+    rows += drawn(first, powers_W, 20.0, rows[-1].consumed_Ah, cutoff_V=6.0).rows
+    rows += rested(first, 20, rows[-1].time_s + 1.0, rows[-1].consumed_Ah)
+    rows += [replace(rows[-1], time_s=rows[-1].time_s + k, voltage_V=usb_V, current_A=0.0) for k in range(1, 16)]
+    second = rested(Pack(cells=2), 30, rows[-1].time_s + 1.0)
+    rows += [replace(row, current_A=idle_A, voltage_V=row.voltage_V - 0.02 * idle_A) for row in second]
+    landed_s = rows[0].time_s + 320.0
+    rows = [replace(row, armed=False) if row.time_s > landed_s else row for row in rows]
+    judge = generic_estimator(replace(STATED, cells=2, cutoff_V=6.6), period_s=60.0)
+    *_, (last, _) = judge.run(rows)
+    assert last.soc > 0.9 and last.capacity_scale_sd > 0.1  # nothing is known of it yet
+
+
 def test_an_open_input_before_the_pack_is_connected_is_no_pack() -> None:
     """At each start without a pack the crew was told that the count of cells does not fit it."""
     pack = rested(Pack(), 20, 30.0)

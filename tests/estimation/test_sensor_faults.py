@@ -64,6 +64,18 @@ def test_rows_sent_more_often_than_the_sensor_is_read_are_not_stuck() -> None:
     assert after(repeated, row_s=0.1).stuck_current_s(CAPACITY_AH) == 0.0
 
 
+@pytest.mark.parametrize(("digit_V", "swing_V", "is_stuck"), [(0.1, 0.1, False), (0.1, 0.2, True), (0.001, 0.1, True)])
+def test_a_voltage_that_goes_up_and_down_by_its_last_digit_speaks_against_no_current(
+    digit_V: float, swing_V: float, is_stuck: bool
+) -> None:
+    """A wait on the ground, as a radio's log shows it: 0.1 V and 0.1 A. More than a digit, and the load has changed."""
+    readings = SensorChanges()
+    for k in range(120):
+        volts = (16.7, 16.7 - digit_V)[k % 2] if k < 20 else 16.7 - swing_V * (k // 5 % 2)
+        readings = readings.after(SensorRow(float(k), volts, 0.5, math.nan, CELLS, 1.5))
+    assert (readings.stuck_current_s(1.5) >= STUCK_S) is is_stuck
+
+
 def flight(rate_Hz: float, seed: int) -> list[Sample]:
     """A flight of a 4S pack of 5 Ah at 320 W until its cut-off."""
     flown = SimulatedFlight(power_W=320.0, start_soc=0.5, rate_Hz=rate_Hz, seed=seed)

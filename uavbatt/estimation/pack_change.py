@@ -32,7 +32,8 @@ LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 
 # Five minutes after a flight no pack rises by 0.03 V a cell any more, unless it is empty. A minute is no glitch.
 CHARGED_AFTER_S, CHARGED_CELL_V, CHARGING_C_RATE, CHARGING_S = 300.0, 0.03, 0.05, 60.0
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
-NO_PACK_CELL_V = 2.0  # below it there is no pack: the autopilot has another supply
+# Below it there is no pack: the autopilot has another supply. No cell rests at 2.7 V, and USB is 2.6 V for each of two.
+NO_PACK_CELL_V, NO_PACK_AT_REST_CELL_V = 2.0, 2.7
 OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
@@ -93,8 +94,10 @@ class SwapWatch(NamedTuple):
         """
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
-        if belief is None or not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
-            return self._without_pack(sample, read_V / cells, capacity_Ah)
+        is_rested = abs(current_A) < RESTED_C_RATE * capacity_Ah and sample.armed is False
+        least_V = NO_PACK_AT_REST_CELL_V if is_rested else NO_PACK_CELL_V
+        if belief is None or not (cell_V > least_V and math.isfinite(current_A)):
+            return self._without_pack(sample.time_s, read_V / cells, is_rested)
         gap_s = time_s - self.seen_s
         row_s, silence = self.row_s, self.silence
         if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
@@ -141,16 +144,15 @@ class SwapWatch(NamedTuple):
             silence=silence, rested_V=rested_V, rested_since_s=since_s, settled_V=settled_V if is_settled else NAN
         )
 
-    def _without_pack(self, sample: Sample, cell_V: float, capacity_Ah: float) -> SwapWatch:
+    def _without_pack(self, time_s: float, cell_V: float, is_rested: bool) -> SwapWatch:
         """Return the watch after a row that shows no pack, with so many volts a cell.
 
-        Disarmed and without a current the pack was taken out; otherwise it is a broken wire.
+        is_rested : disarmed and without a current, the pack was taken out; otherwise it is a broken wire.
         """
-        is_rested = abs(sample.current_A) < RESTED_C_RATE * capacity_Ah and sample.armed is False
-        if not (is_rested and cell_V < NO_PACK_CELL_V):
+        if not (is_rested and cell_V < NO_PACK_AT_REST_CELL_V):
             return self._replace(out_since_s=NAN)
-        since_s = self.out_since_s if math.isfinite(self.out_since_s) else sample.time_s
-        return self._replace(out_since_s=since_s, is_out=self.is_out or sample.time_s - since_s >= OUT_S)
+        since_s = self.out_since_s if math.isfinite(self.out_since_s) else time_s
+        return self._replace(out_since_s=since_s, is_out=self.is_out or time_s - since_s >= OUT_S)
 
     def _other(self, now: SwapWatch, silence: Silence | None) -> SwapWatch:
         """Return the watch `now` with one row more that shows another pack."""

@@ -14,8 +14,9 @@ LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
 COARSEST_STEP_V = 0.1  # assumed for a voltmeter that has not shown its smallest step yet
 # A voltmeter of such steps, seen so often, shows the knee of an emptying pack too late.
 COARSE_CELL_V, COARSE_CHANGES = 0.1, 5
-# If the voltage of a cell has gone down and up by this much several times, the current must have changed.
-TURN_CELL_V, TURNS = 0.012, 6
+# If the voltage of a cell has gone down and up by this much several times, the current must have changed. A voltmeter
+# that reads between two of its steps shows now one, now the other: that is no turn.
+TURN_CELL_V, TURN_STEPS, TURNS = 0.012, 1.5, 6
 # A current is stuck if it should have changed this many times since its last change. The expected number follows from
 # the share of rows in which it usually changes (`habit`, over about a hundred rows). On the ground, below a tenth of
 # 1 C, a constant current is normal.
@@ -71,7 +72,7 @@ class SensorChanges(NamedTuple):
         step_V = voltage_V - turn_V if math.isfinite(turn_V) else 0.0
         if (step_V > 0.0) is is_rising:
             turn_V = voltage_V
-        elif abs(step_V) > TURN_CELL_V * row.cells:
+        elif abs(step_V) > max(TURN_CELL_V * row.cells, TURN_STEPS * voltage.step):
             turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
         return SensorChanges(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
 
