@@ -68,6 +68,46 @@ def test_the_voltage_of_usb_power_is_no_pack(cells: int, usb_V: float) -> None:
         assert math.isnan(estimate.voltage_V)
 
 
+def on_the_ground(pack: Pack, idle_C: float, seconds: int, rows: list[Sample]) -> list[Sample]:
+    """The rows, and a wait under avionics that draw so much of 5 Ah, disarmed."""
+    from_s, drawn_Ah = (rows[-1].time_s + 1.0, rows[-1].consumed_Ah) if rows else (0.0, 0.0)
+    idle_W = itertools.repeat(idle_C * 5.0 * 15.0, seconds)
+    return [*rows, *drawn(pack, idle_W, from_s, drawn_Ah, armed=False).rows]
+
+
+@pytest.mark.parametrize("idle_C", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize(("first_soc", "second_soc"), [(0.85, 0.45), (0.6, 0.25), (0.6, 0.95)])
+def test_a_pack_changed_at_once_under_avionics_that_draw_much_is_another(
+    idle_C: float, first_soc: float, second_soc: float
+) -> None:
+    """The new pack is connected before the old one is taken off. A full one had no number for its whole flight, and
+    with one that was half empty more than five minutes too many were said."""
+    rows = on_the_ground(Pack(soc=first_soc), idle_C, 60, [])
+    second = Pack(soc=second_soc)
+    rows = on_the_ground(second, idle_C, 30, rows)
+    begin_s = rows[-1].time_s
+    rows += flown(second, begin_s + 1.0, drawn_Ah=rows[-1].consumed_Ah)
+    said = list(generic_estimator(STATED, period_s=2.0).run(rows))
+    before = next(estimate for estimate, _ in said if estimate.time_s >= begin_s)
+    assert before.soc == pytest.approx(second_soc, abs=0.1)
+    late = [(rows[-1].time_s - r.time_s, r) for _, r in said if r.time_s > begin_s + 20.0]
+    assert max(r.remaining_lo_s - left_s for left_s, r in late if left_s > 5.0) < 15.0
+
+
+@pytest.mark.parametrize(("air_C", "resistance"), [(25.0, 1.0), (-5.0, 2.0)])
+def test_landing_and_a_payload_that_is_switched_are_no_change_of_the_pack(air_C: float, resistance: float) -> None:
+    pack = Pack(air_C=air_C, resistance=resistance)
+    rows = on_the_ground(pack, 0.25, 30, [])
+    rows += drawn(pack, itertools.islice(Power(300.0).rows_W(3), 240), 30.0, rows[-1].consumed_Ah, cutoff_V=12.0).rows
+    flown_s = rows[-1].time_s
+    for idle_C in (0.25, 0.8, 0.25, 1.2, 0.4, 0.05, 0.3):
+        rows = on_the_ground(pack, idle_C, 40, rows)
+    said = list(generic_estimator(STATED, period_s=60.0).run(rows))
+    told = next(estimate for estimate, _ in said if estimate.time_s >= flown_s)
+    for estimate, _ in said[said.index(next(s for s in said if s[0] is told)) :]:
+        assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
+
+
 @pytest.mark.parametrize("usb_V", [4.8, 5.25])
 @pytest.mark.parametrize("idle_A", [0.5, 2.5])
 def test_two_cells_are_changed_on_usb_power(usb_V: float, idle_A: float) -> None:

@@ -48,14 +48,21 @@ def test_an_aeroplane_of_long_endurance_flies_once_it_has_been_armed_for_a_minut
     assert not is_flying(after(FlightSoFar(), 90, 26.0, armed=None))
 
 
-@pytest.mark.parametrize("watts", [26.0, 40.0])
-def test_waiting_armed_on_the_ground_is_no_part_of_the_flight(watts: float) -> None:
-    """A third and half a C for a quarter of an hour, with heaters and radios, then a hover."""
-    told = after(FlightSoFar(), 900, watts, armed=True, is_aloft=False)
+@pytest.mark.parametrize("armed", [True, None])
+@pytest.mark.parametrize(("watts", "hover_W"), [(26.0, 300.0), (40.0, 300.0), (64.0, 420.0), (110.0, 720.0)])
+def test_waiting_on_the_ground_is_no_part_of_the_flight(watts: float, hover_W: float, armed: bool | None) -> None:
+    """A third of a C to more than one for a quarter of an hour, with heaters and radios, then a hover."""
+    told = after(FlightSoFar(), 900, watts, armed=armed, is_aloft=False)
     assert not is_flying(told)
-    assert after(told, 20, 300.0, armed=True, is_aloft=True).mean_W > 250.0
-    untold = after(after(FlightSoFar(), 900, watts, armed=True), 20, 300.0, armed=True)
-    assert is_flying(untold) and untold.mean_W > 250.0
+    assert after(told, 20, hover_W, armed=armed, is_aloft=True).mean_W > 0.8 * hover_W
+    untold = after(after(FlightSoFar(), 900, watts, armed=armed), 20, hover_W, armed=armed)
+    assert is_flying(untold) and untold.mean_W > 0.8 * hover_W
+
+
+def test_an_aeroplane_that_cruises_long_before_it_climbs_is_no_new_flight() -> None:
+    """Without a position: 1 C in the cruise, and four times that in the climb."""
+    cruising = after(FlightSoFar(), 900, 80.0, armed=True)
+    assert after(cruising, 20, 320.0, armed=True).mean_W < 100.0
 
 
 def test_a_burst_in_the_first_minutes_is_no_new_flight() -> None:

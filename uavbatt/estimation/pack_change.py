@@ -8,7 +8,8 @@ settled, so that both bounds are close to its predicted voltage, also with an id
 of the autopilot that has fallen also shows another pack, unless the flight evidently continued. Without a silence,
 four observations show another pack: a fall of the rested voltage (at rest it only rises), once the voltage rises
 slowly, a sudden rise or a voltage far too high, and seconds without a pack while disarmed. After these the same pack
-may come back, but nothing says so. A pack that is charged in the aircraft, in a dock, counts as another one, too: its
+may come back, but nothing says so. Under avionics that draw more than a pack at rest gives, a leap of the voltage
+beside a current that stays shows it. A pack that is charged in the aircraft, in a dock, counts as another one, too: its
 voltage rises long after it has settled, or a current flows into it.
 """
 
@@ -37,6 +38,9 @@ NO_PACK_CELL_V, NO_PACK_AT_REST_CELL_V = 2.0, 2.7
 OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
+# Disarmed on the ground, avionics and a payload draw less than this. Their current is the same within a share, or a
+# small part of 1 C.
+IDLE_C_RATE, SAME_SHARE, SAME_C_RATE = 1.5, 0.2, 0.03
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
@@ -63,6 +67,36 @@ class Silence(NamedTuple):
         return consumed_Ah < self.counted_Ah - COUNTER_SLACK_AH
 
 
+class Idling(NamedTuple):
+    """Idling holds means of the last rows under an idle load on the ground: voltage of a cell [V] and current [A].
+
+    since_s : time of the first of them [s]. NaN without such rows.
+    """
+
+    cell_V: float = NAN
+    current_A: float = NAN
+    since_s: float = NAN
+
+    def after(self, time_s: float, cell_V: float, current_A: float, capacity_Ah: float) -> Idling:
+        """Return the means after one more row; they begin anew if its current is another."""
+        if not self.is_same_load(current_A, capacity_Ah):
+            return Idling(cell_V, current_A, time_s)
+        mean_V = cell_V + (self.cell_V - cell_V) * RESTED_MEMORY
+        return Idling(mean_V, current_A + (self.current_A - current_A) * RESTED_MEMORY, self.since_s)
+
+    def is_same_load(self, current_A: float, capacity_Ah: float) -> bool:
+        """Return True if a current [A] is that of these rows."""
+        return abs(current_A - self.current_A) < max(SAME_SHARE * self.current_A, SAME_C_RATE * capacity_Ah)
+
+    def is_left(self, time_s: float, cell_V: float, row_s: float) -> bool:
+        """Return True if a cell shows a voltage [V] that these rows do not lead to; row_s : time since the last [s].
+
+        Under the same load a pack falls slowly, and after some seconds it rises slowly, too.
+        """
+        is_slow = time_s - self.since_s > SLOWLY_AFTER_S and row_s <= LEAPT_WITHIN_S
+        return cell_V < self.cell_V - FALLEN_CELL_V or (is_slow and cell_V > self.cell_V + LEAPT_CELL_V)
+
+
 class SwapWatch(NamedTuple):
     """SwapWatch holds the last row with a pack, and how many rows in turn have shown another pack.
 
@@ -80,6 +114,7 @@ class SwapWatch(NamedTuple):
     rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
     rested_since_s: float = NAN
     settled_V: float = NAN  # of a cell, the lowest one since it has settled
+    idling: Idling = Idling()
     charging_s: float = 0.0  # time for which a current has flown into the pack since the last flight [s]
     out_since_s: float = NAN  # since when the input has shown no pack
     is_out: bool = False  # the pack was taken out
@@ -114,7 +149,9 @@ class SwapWatch(NamedTuple):
         if abs(current_A) < RESTED_C_RATE * capacity_Ah:
             return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V)
         if silence is None:
-            return now
+            most_C = IDLE_C_RATE if sample.armed is False else FLYING_C_RATE
+            may_idle = sample.armed is not True and current_A < most_C * capacity_Ah
+            return self._idling(now, cell_V, capacity_Ah) if may_idle else now
         if now._shows_another(silence, sample, pack):
             return self._other(now, silence)
         return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
@@ -143,6 +180,13 @@ class SwapWatch(NamedTuple):
         return now._replace(
             silence=silence, rested_V=rested_V, rested_since_s=since_s, settled_V=settled_V if is_settled else NAN
         )
+
+    def _idling(self, now: SwapWatch, cell_V: float, capacity_Ah: float) -> SwapWatch:
+        """Return the watch `now` with what a row under an idle load shows, with so many volts a cell."""
+        is_same = self.idling.is_same_load(now.current_A, capacity_Ah)
+        if is_same and self.idling.is_left(now.seen_s, cell_V, now.seen_s - self.seen_s):
+            return self._other(now._replace(idling=self.idling), None)
+        return now._replace(idling=self.idling.after(now.seen_s, cell_V, now.current_A, capacity_Ah))
 
     def _without_pack(self, time_s: float, cell_V: float, is_rested: bool) -> SwapWatch:
         """Return the watch after a row that shows no pack, with so many volts a cell.

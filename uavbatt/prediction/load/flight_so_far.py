@@ -19,7 +19,10 @@ LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 CARRIED_S = 60.0  # so long under a load that no payload draws: this was a flight, not spool-up
 NEW_PIECES = 2  # the newest powers may hold the rise itself
-WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
+# A load on the ground with heaters or radios on, before the motors take it up: a third of the power then, by less than
+# WAITING_C; or a fifth, by less than any multirotor flies with.
+WAITED, WAITING_C = 3.0, 0.75
+SURELY_WAITED = 5.0
 
 
 class FlightSoFar(NamedTuple):
@@ -71,8 +74,10 @@ class FlightSoFar(NamedTuple):
         now = now._replace(load=load, flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
         if now.time_s - now.took_off_s <= SPOOL_UP_S:
             return now._spooled_up(power_W, SPOOLED_UP)
-        has_waited = is_aloft is not True and c_rate * now.mean_W < WAITING_C * power_W
-        return now._spooled_up(power_W, WAITED) if has_waited else now
+        mean_C = c_rate * now.mean_W / power_W if power_W > 0.0 else math.inf
+        if is_aloft is True or mean_C >= GROUNDED_C:
+            return now
+        return now._spooled_up(power_W, WAITED if mean_C < WAITING_C else SURELY_WAITED)
 
     def moved(self, shift_s: float) -> FlightSoFar:
         """Return the same past on a clock that shows `shift_s` [s] more."""
