@@ -183,9 +183,10 @@ class SwapWatch(NamedTuple):
 
     def _idling(self, now: SwapWatch, cell_V: float, capacity_Ah: float) -> SwapWatch:
         """Return the watch `now` with what a row under an idle load shows, with so many volts a cell."""
-        is_same = self.idling.is_same_load(now.current_A, capacity_Ah)
-        if is_same and self.idling.is_left(now.seen_s, cell_V, now.seen_s - self.seen_s):
-            return self._other(now._replace(idling=self.idling), None)
+        row_s, is_same = now.seen_s - self.seen_s, self.idling.is_same_load(now.current_A, capacity_Ah)
+        has_risen = row_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V  # although it is loaded now
+        if has_risen or (is_same and self.idling.is_left(now.seen_s, cell_V, row_s)):
+            return self._other(now._replace(idling=self.idling, rested_V=self.rested_V), None)
         return now._replace(idling=self.idling.after(now.seen_s, cell_V, now.current_A, capacity_Ah))
 
     def _without_pack(self, time_s: float, cell_V: float, is_rested: bool) -> SwapWatch:

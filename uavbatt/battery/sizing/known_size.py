@@ -19,7 +19,7 @@ from uavbatt.notice import Kind, Notice
 from uavbatt.records import NAN, PackFacts, Sample
 
 SURE_ROWS = 2  # the first one alone may be damaged
-OTHER_SUPPLY = 1.5  # no pack rises by so much without being charged: the rows before were of USB power
+OTHER_SUPPLY = 1.35  # no pack rises by so much without being charged: the rows before were of USB, or of a bench supply
 GAUGE_STEP = 0.05  # of the rated capacity
 
 
