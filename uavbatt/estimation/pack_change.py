@@ -150,7 +150,7 @@ class SwapWatch(NamedTuple):
             return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V)
         if silence is None:
             most_C = IDLE_C_RATE if sample.armed is False else FLYING_C_RATE
-            may_idle = sample.armed is not True and current_A < most_C * capacity_Ah
+            may_idle = sample.armed is not True and 0.0 < current_A < most_C * capacity_Ah
             return self._idling(now, cell_V, capacity_Ah) if may_idle else now
         if now._shows_another(silence, sample, pack):
             return self._other(now, silence)
