@@ -37,6 +37,8 @@ GUESSED_FROM, TOLD_FROM = "first voltage", "cell voltages"  # sources of a count
 CUT_CELLS = 10  # fields for cells in BATTERY_STATUS: where all are used, a sender without more may leave cells out
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
+FLYING_C_RATE = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
+GROUNDED_C_RATE = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 HIGHEST_C_RATE = 200.0  # in any row: at this rate a pack is empty in 18 s
 LEAST_SAG = 0.0004  # share of the voltage that a load of 1 C takes at least; the best packs show three times it
 # A pack that rested nearly empty cannot give this share of the stated capacity, even if it has twice that capacity.

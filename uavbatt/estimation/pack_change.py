@@ -23,6 +23,7 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.innovation import Innovation
+from uavbatt.limits import FLYING_C_RATE, GROUNDED_C_RATE
 from uavbatt.records import NAN, Sample
 
 # Rows that must show another pack, and how long: a current that comes 0.3 s late shows one at each take-off at 10 Hz.
@@ -37,10 +38,8 @@ SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V, NO_PACK_AT_REST_CELL_V = 2.0, 2.7
 OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
-FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # a smaller load may be on the ground; time in which rows show the pack
-# Disarmed on the ground, avionics and a payload draw less than this. Their current is the same within a share, or a
-# small part of 1 C.
-IDLE_C_RATE, SAME_SHARE, SAME_C_RATE = 1.5, 0.2, 0.03
+SHOWN_S = 60.0  # time in which rows show the pack
+SAME_SHARE, SAME_C_RATE = 0.2, 0.03  # a load on the ground is the same within such a share, or a small part of 1 C
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
@@ -129,10 +128,11 @@ class SwapWatch(NamedTuple):
         """
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
-        is_rested = abs(current_A) < RESTED_C_RATE * capacity_Ah and sample.armed is False
-        least_V = NO_PACK_AT_REST_CELL_V if is_rested else NO_PACK_CELL_V
+        is_at_rest = abs(current_A) < RESTED_C_RATE * capacity_Ah
+        is_parked = is_at_rest and sample.armed is False
+        least_V = NO_PACK_AT_REST_CELL_V if is_parked else NO_PACK_CELL_V
         if belief is None or not (cell_V > least_V and math.isfinite(current_A)):
-            return self._without_pack(sample.time_s, read_V / cells, is_rested)
+            return self._without_pack(sample.time_s, read_V / cells, is_parked)
         gap_s = time_s - self.seen_s
         row_s, silence = self.row_s, self.silence
         if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
@@ -146,10 +146,10 @@ class SwapWatch(NamedTuple):
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah, charging_s=charging_s)
         if self.is_out:
             return self._other(now, silence)._replace(is_out=True)
-        if abs(current_A) < RESTED_C_RATE * capacity_Ah:
+        if is_at_rest:
             return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V)
         if silence is None:
-            most_C = IDLE_C_RATE if sample.armed is False else FLYING_C_RATE
+            most_C = GROUNDED_C_RATE if sample.armed is False else FLYING_C_RATE
             may_idle = sample.armed is not True and 0.0 < current_A < most_C * capacity_Ah
             return self._idling(now, cell_V, capacity_Ah) if may_idle else now
         if now._shows_another(silence, sample, pack):
@@ -189,12 +189,12 @@ class SwapWatch(NamedTuple):
             return self._other(now._replace(idling=self.idling, rested_V=self.rested_V), None)
         return now._replace(idling=self.idling.after(now.seen_s, cell_V, now.current_A, capacity_Ah))
 
-    def _without_pack(self, time_s: float, cell_V: float, is_rested: bool) -> SwapWatch:
+    def _without_pack(self, time_s: float, cell_V: float, is_parked: bool) -> SwapWatch:
         """Return the watch after a row that shows no pack, with so many volts a cell.
 
-        is_rested : disarmed and without a current, the pack was taken out; otherwise it is a broken wire.
+        is_parked : disarmed and without a current, the pack was taken out; otherwise it is a broken wire.
         """
-        if not (is_rested and cell_V < NO_PACK_AT_REST_CELL_V):
+        if not (is_parked and cell_V < NO_PACK_AT_REST_CELL_V):
             return self._replace(out_since_s=NAN)
         since_s = self.out_since_s if math.isfinite(self.out_since_s) else time_s
         return self._replace(out_since_s=since_s, is_out=self.is_out or time_s - since_s >= OUT_S)

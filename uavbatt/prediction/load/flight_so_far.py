@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from uavbatt.limits import FLYING_C_RATE, GROUNDED_C_RATE
 from uavbatt.prediction.load.power_history import LOWEST_POWER_W, RecentLoad
 from uavbatt.records import NAN, Sample
 
-FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
 CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance, armed for so long
 ALOFT_C = 0.05  # if its position shows it in the air
-GROUNDED_C = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag ends the flight at once
 GLIDED_S = 900.0  # longest glide of an armed aircraft without a position: an autopilot disarms soon after a landing
@@ -21,8 +20,7 @@ CARRIED_S = 60.0  # so long under a load that no payload draws: this was a fligh
 NEW_PIECES = 2  # the newest powers may hold the rise itself
 # A load on the ground with heaters or radios on, before the motors take it up: a third of the power then, by less than
 # WAITING_C; or a fifth, by less than any multirotor flies with.
-WAITED, WAITING_C = 3.0, 0.75
-SURELY_WAITED = 5.0
+WAITED, WAITING_C, SURELY_WAITED = 3.0, 0.75, 5.0
 
 
 class FlightSoFar(NamedTuple):
@@ -54,9 +52,13 @@ class FlightSoFar(NamedTuple):
     def has_carried(self, power_W: float, c_rate: float) -> bool:
         """Return True if the load so far has surely carried the aircraft, so that a rise now is another load.
 
-        power_W, c_rate : of a row, which tell the C-rate [1/h] of any other power [W]
+        power_W, c_rate : as for `mean_c`
         """
-        return self.flown_s >= CARRIED_S and self.mean_W * (c_rate / max(power_W, LOWEST_POWER_W)) >= GROUNDED_C
+        return self.flown_s >= CARRIED_S and self.mean_c(power_W, c_rate) >= GROUNDED_C_RATE
+
+    def mean_c(self, power_W: float, c_rate: float) -> float:
+        """Return the C-rate [1/h] of the mean power; power_W [W], c_rate [1/h] : of a row, which tell that of any."""
+        return self.mean_W * (c_rate / max(power_W, LOWEST_POWER_W))
 
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> FlightSoFar:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
@@ -74,10 +76,10 @@ class FlightSoFar(NamedTuple):
         now = now._replace(load=load, flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
         if now.time_s - now.took_off_s <= SPOOL_UP_S:
             return now._spooled_up(power_W, SPOOLED_UP)
-        mean_C = c_rate * now.mean_W / power_W if power_W > 0.0 else math.inf
-        if is_aloft is True or mean_C >= GROUNDED_C:
+        mean_c = now.mean_c(power_W, c_rate)
+        if is_aloft is True or power_W <= 0.0 or mean_c >= GROUNDED_C_RATE:
             return now
-        return now._spooled_up(power_W, WAITED if mean_C < WAITING_C else SURELY_WAITED)
+        return now._spooled_up(power_W, WAITED if mean_c < WAITING_C else SURELY_WAITED)
 
     def moved(self, shift_s: float) -> FlightSoFar:
         """Return the same past on a clock that shows `shift_s` [s] more."""
@@ -103,11 +105,11 @@ class FlightSoFar(NamedTuple):
     def _least_c(self, sample: Sample, is_aloft: bool | None) -> float:
         """Return the C-rate [1/h] from which the load carries the aircraft, by what is known beside it."""
         if sample.armed is False or is_aloft is False:
-            return GROUNDED_C
+            return GROUNDED_C_RATE
         if is_aloft:
             return ALOFT_C
         is_long = sample.armed is True and sample.time_s - self.armed_since_s >= ARMED_LONG_S
-        return CRUISING_C if is_long else FLYING_C
+        return CRUISING_C if is_long else FLYING_C_RATE
 
     def _landed_after_s(self, is_aloft: bool | None) -> float:
         """Return how long no load may carry the aircraft before it has landed [s], if it is not seen in the air."""
