@@ -118,10 +118,12 @@ def flight_for_ledger(
         return FlightForLedger(None, "a sensor failed in flight: voltage or current were not true")
     if not seen.loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return FlightForLedger(None, "no estimate could be made")
-    under_load = [row for row, is_loaded in zip(rows, _is_loaded(rows), strict=True) if is_loaded]
+    is_loaded = _is_loaded(rows)
+    under_load = [row for row, loaded in zip(rows, is_loaded, strict=True) if loaded]
+    is_begun_later = bool(is_loaded[0]) and seen.soc_start < BEGUN_SOC
     said = evidence_of_flight(
         pack, seen.loaded, seen.last or seen.loaded[-1], _mean_temp_C(under_load),
-        is_generic=battery.certificate.status == "generic", is_begun_later=_is_begun_later(rows, seen.soc_start),
+        is_generic=battery.certificate.status == "generic", is_begun_later=is_begun_later,
     )  # fmt: skip
     return FlightForLedger(_record(battery, size, pack, flight, rows, under_load, total, seen, said))
 
@@ -193,11 +195,6 @@ def _last_loaded(rows: Sequence[Sample]) -> int | None:
     if float(steps_s[is_loaded].sum()) < LEAST_LOADED_S:
         return None
     return int(np.flatnonzero(is_loaded)[-1])
-
-
-def _is_begun_later(rows: Sequence[Sample], soc: float) -> bool:
-    """Return True if the first row is under load, and its charge is not that of a full pack."""
-    return bool(_is_loaded(rows)[0]) and soc < BEGUN_SOC
 
 
 def _is_loaded(rows: Sequence[Sample]) -> NDArray[np.bool_]:
