@@ -173,7 +173,7 @@ NOTED: dict[str, Use] = {
     "another battery file": Use(
         replayed("f.csv", "--battery", "lpab-3s"),
         0,
-        ("3S pack", "this one is scaled", "far off what this battery file"),
+        ("3S pack of a capacity that its tests do not tell; this one is scaled", "far off what this battery file"),
     ),
     "another vehicle file": Use(replayed("f.csv", "--vehicle", "m100.vehicle.toml"), 0, ("this aircraft draws", "W")),
     "two vehicles": Use(replayed("vehicles.tlog"), 0, ("battery messages of system 42", "ignored", "system 1")),

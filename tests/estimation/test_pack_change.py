@@ -103,8 +103,8 @@ def test_landing_and_a_payload_that_is_switched_are_no_change_of_the_pack(air_C:
     for idle_C in (0.25, 0.8, 0.25, 1.2, 0.4, 0.05, 0.3):
         rows = on_the_ground(pack, idle_C, 40, rows)
     said = list(generic_estimator(STATED, period_s=60.0).run(rows))
-    told = next(estimate for estimate, _ in said if estimate.time_s >= flown_s)
-    for estimate, _ in said[said.index(next(s for s in said if s[0] is told)) :]:
+    told, *waiting = [estimate for estimate, _ in said if estimate.time_s >= flown_s]
+    for estimate in waiting:
         assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
 
 
