@@ -15,6 +15,7 @@ from types import FrameType
 
 import numpy as np
 import pytest
+from cases import first_quick
 from factories import generic_pack
 
 import uavbatt
@@ -60,7 +61,7 @@ def as_flight(samples: tuple[Sample, ...]) -> Flight:
 # --- one law for every size --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("cells", "capacity_Ah"), [(12, 5.0), (2, 0.5), (4, 30.0)])
+@pytest.mark.parametrize(("cells", "capacity_Ah"), first_quick(1, [(2, 0.5), (12, 5.0), (4, 30.0)]))
 def test_a_pack_of_another_size_under_the_same_load_a_cell_is_said_to_last_as_long(
     cells: int, capacity_Ah: float
 ) -> None:
@@ -108,7 +109,7 @@ def whole_simulated(engine: Engine = PLAIN) -> list[str]:
 
 
 @pytest.mark.parametrize("suffix", [".tlog", ".BIN", ".csv"])
-@pytest.mark.parametrize("share", [0.31, 0.77])
+@pytest.mark.parametrize("share", first_quick(1, [0.31, 0.77]))
 def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_path: Path) -> None:
     """Through the file: parameters, arming and a torn last record included."""
     pack = generic_pack()
@@ -269,7 +270,7 @@ def test_facts_of_another_kind_are_named() -> None:
         estimator.update_facts(None)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["belief", "past", "size", "facts", "current_A", "consumed_Ah"])
+@pytest.mark.parametrize("name", first_quick(2, ["belief", "consumed_Ah", "past", "size", "facts", "current_A"]))
 def test_a_saved_state_of_another_kind_is_named(name: str) -> None:
     was = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(4, 5.0))
     list(was.run(flown()[:200]))

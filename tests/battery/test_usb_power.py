@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cases import first_quick
 from command import called
 from daemon_bench import Bench
 from factories import generic_estimator, generic_pack
@@ -36,8 +37,8 @@ def set_up(supply_V: float, idle_A: float, cells: int = 4, usb_s: float = CONNEC
 @pytest.mark.parametrize(
     ("cells", "supply_V"), [(2, 4.9), (4, 4.9), (6, 5.2), (6, 12.0), (4, 11.8), (4, 13.4), (6, 17.5), (6, 22.0)]
 )
-@pytest.mark.parametrize("idle_A", [0.3, 1.0])
-@pytest.mark.parametrize("is_stated", [False, True])
+@pytest.mark.parametrize("idle_A", first_quick(1, [0.3, 1.0]))
+@pytest.mark.parametrize("is_stated", first_quick(1, [False, True]))
 def test_the_pack_is_the_one_that_is_connected(cells: int, supply_V: float, idle_A: float, is_stated: bool) -> None:
     options = PackOptions(capacity_Ah=CAPACITY_AH, cutoff_V=3.3 * cells, cells=cells if is_stated else None)
     estimator = generic_estimator(options)

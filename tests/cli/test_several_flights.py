@@ -49,6 +49,8 @@ def write_flight(log: Path, serial: int, fade: float, epoch_s: float) -> float:
     return epoch_s + flown[-1].time_s + BETWEEN_S
 
 
+# Slow, for test_the_ledger_remembers_both asks whether each pack has its own entry.
+@pytest.mark.slow
 def test_a_pack_is_not_taken_for_the_worn_one_before_it_in_the_log(tmp_path: Path) -> None:
     """The flight of the first pack was remembered under the second's serial, which flew with the first's health."""
     worn, new, both = (tmp_path / f"{name}.tlog" for name in ("worn", "new", "both"))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from cases import first_quick
 from planted_flights import CAPACITY_AH, CELLS, FILE, PACK, fly
 
 from uavbatt.battery.battery_file import BatteryFile
@@ -120,7 +121,7 @@ def test_a_test_that_begins_under_load_begins_no_fuller_than_the_full_packs_of_t
     assert np.max(problem_of(loaded, with_start(0.97), PACK).evidence.start_soc) == pytest.approx(0.97)
 
 
-@pytest.mark.parametrize(("started", "told"), [(0.96, 0.96), (0.995, None), (0.6, None)])
+@pytest.mark.parametrize(("started", "told"), first_quick(2, [(0.96, 0.96), (0.995, None), (0.6, None)]))
 def test_a_fit_tells_the_start_of_packs_that_charge_to_less_than_full(
     slow: list[ObservedRecord], started: float, told: float | None
 ) -> None:

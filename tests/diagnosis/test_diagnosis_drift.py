@@ -68,6 +68,7 @@ def test_a_voltage_whose_gain_goes_with_the_temperature_is_no_declared_effect() 
     assert not diagnosis.after.candidate.names
 
 
+@pytest.mark.slow  # the voltage whose gain goes with the temperature, above, is its witness
 def test_a_converter_that_warms_is_told_where_no_effect_is_worth_a_name(flights: list[ObservedRecord]) -> None:
     diagnosis = found([warming(r, 0.0015) for r in flights])
     assert diagnosis.verdict == "undeclared_effect"

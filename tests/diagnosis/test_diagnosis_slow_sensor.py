@@ -36,13 +36,14 @@ def test_a_filtered_voltage_is_no_declared_effect(flights: list[ObservedRecord])
     assert not diagnosis.after.candidate.names  # nothing of it enters the battery file
 
 
+@pytest.mark.slow  # the filtered voltage, above, is its witness
 def test_a_filtered_current_is_no_declared_effect(flights: list[ObservedRecord]) -> None:
     diagnosis = found([replace(r, current_A=behind(r.current_A, 4.0)) for r in flights])
     assert diagnosis.verdict == "undeclared_effect"
     assert any("current_delay is no delay: the current read follows the truth" in r for r in diagnosis.reasons)
 
 
-@pytest.mark.parametrize("seconds", [3, -3])
+@pytest.mark.parametrize("seconds", [3, pytest.param(-3, marks=pytest.mark.slow)])
 def test_a_delay_stays_a_delay(flights: list[ObservedRecord], seconds: int) -> None:
     ahead, behind_rows = max(-seconds, 0), max(seconds, 0)
     cut = [

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
+from cases import first_quick
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Pack, flown, rested
 
 from uavbatt.battery import battery_file
@@ -36,7 +37,9 @@ def run(pack_C: float, air_C: float, ambient_C: float = NAN) -> list[tuple[Estim
     return list(Estimator(generic, options, settings, engine_for(is_long=True)).run(rows(pack_C, air_C)))
 
 
-@pytest.mark.parametrize(("pack_C", "air_C"), [(25.0, 0.0), (20.0, -10.0), (20.0, 5.0), (10.0, 30.0), (25.0, 25.0)])
+@pytest.mark.parametrize(
+    ("pack_C", "air_C"), first_quick(2, [(20.0, -10.0), (10.0, 30.0), (25.0, 0.0), (20.0, 5.0), (25.0, 25.0)])
+)
 def test_a_number_is_said_all_along_and_nothing_is_blamed(pack_C: float, air_C: float) -> None:
     end_s = rows(pack_C, air_C)[-1].time_s
     said = [pair for pair in run(pack_C, air_C) if 60.0 < pair[0].time_s < end_s - 5.0]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from cases import first_quick
 from factories import generic_estimator
 from scoring.other_pack import LIHV, LIPO, Make, Pack, flown, rested
 from scoring.scenarios import STATED
 
 
 @pytest.mark.parametrize("make", [LIPO, LIHV], ids=lambda make: make.name)
-@pytest.mark.parametrize(("left_s", "pause_s"), [(30, 20), (30, 120), (120, 40)])
+@pytest.mark.parametrize(("left_s", "pause_s"), first_quick(1, [(30, 20), (30, 120), (120, 40)]))
 def test_a_short_hop_after_a_landing_is_not_said_too_long(make: Make, left_s: int, pause_s: int) -> None:
     """An emptied LiHV pack was believed to hold 23 % of its charge (6 % in truth), with a fifth more of capacity."""
     whole_s = len(flown(Pack(make=make), 0.0))

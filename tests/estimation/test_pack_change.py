@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import first_quick
 from factories import generic_estimator
 from scoring.other_pack import Pack, Power, drawn, flown, rested
 from scoring.scenarios import STATED, another, flight
@@ -75,7 +76,7 @@ def on_the_ground(pack: Pack, idle_C: float, seconds: int, rows: list[Sample]) -
     return [*rows, *drawn(pack, idle_W, from_s, drawn_Ah, armed=False).rows]
 
 
-@pytest.mark.parametrize("idle_C", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("idle_C", first_quick(1, [0.5, 0.25, 1.0]))
 @pytest.mark.parametrize(("first_soc", "second_soc"), [(0.85, 0.45), (0.6, 0.25), (0.6, 0.95)])
 def test_a_pack_changed_at_once_under_avionics_that_draw_much_is_another(
     idle_C: float, first_soc: float, second_soc: float
@@ -243,7 +244,7 @@ def test_one_row_with_another_counter_changes_no_pack() -> None:
 
 
 @pytest.mark.parametrize(("first_soc", "air_s", "soc"), [(1.0, 400, 0.9), (1.0, 100, 0.6), (0.6, 150, 0.95)])
-@pytest.mark.parametrize("idle_W", [6.0, 15.0, 28.0])
+@pytest.mark.parametrize("idle_W", first_quick(1, [28.0, 6.0, 15.0]))
 def test_a_pack_changed_under_an_idle_load_is_another(idle_W: float, first_soc: float, air_s: int, soc: float) -> None:
     """A payload or a companion draws up to 0.37 C on the ground; from 0.15 C on no change was seen."""
     first = Pack(soc=first_soc)

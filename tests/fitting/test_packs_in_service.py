@@ -38,7 +38,9 @@ def test_the_flights_tell_packs_that_are_alike_from_packs_of_every_age() -> None
     assert evidence(EVERY_AGE, solve.IN_SERVICE) > evidence(EVERY_AGE, solve.ALIKE)
 
 
-@pytest.mark.parametrize("packs", [NEARLY_NEW, EVERY_AGE], ids=["nearly new", "every age"])
+@pytest.mark.parametrize(
+    "packs", [EVERY_AGE, pytest.param(NEARLY_NEW, marks=pytest.mark.slow)], ids=["every age", "nearly new"]
+)
 def test_the_curve_of_the_type_is_not_bent(packs: tuple[tuple[float, float], ...]) -> None:
     """Worn packs among packs that are said to be alike would bend the open-circuit voltage by 34 mV."""
     table = fit_battery(SIZE, [], logs(packs)).file.parameters

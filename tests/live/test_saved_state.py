@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import first_quick
 from daemon_bench import Bench
 from live_rig import Station, Vehicle, free_port, running
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -180,7 +181,7 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("damage", first_quick(20, list(DAMAGE)))
 def test_damage_inside_is_not_resumed_and_said(damage: str, kept: tuple[str, float], tmp_path: Path) -> None:
     text, at_s = kept
     content = json.loads(text)

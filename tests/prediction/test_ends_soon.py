@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from cases import first_quick
 from factories import generic_estimator
 from scoring.other_pack import CELLS, CUTOFF_V, Pack, Power, drawn, flown, rested
 
@@ -42,7 +43,7 @@ def test_a_current_that_is_lost_takes_the_time_away_and_not_the_alarm(lost_s: fl
     assert said_s and 30.0 < max(said_s) < 400.0
 
 
-@pytest.mark.parametrize("below_V", [0.1, 0.5, 1.5])
+@pytest.mark.parametrize("below_V", first_quick(1, [0.5, 0.1, 1.5]))
 def test_who_flies_on_below_the_cut_off_has_no_time_left(below_V: float) -> None:
     """Two minutes were said for twenty, without width: the horizon of the forecast stood as an end."""
     pack = Pack(soc=0.2)

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 import pytest
 from browser import Browser
+from cases import first_quick
 from command import called
 from daemon_bench import Bench
 from live_rig import ROOT, free_port
@@ -156,7 +157,7 @@ def complaints(browser: Browser, url: str, width: int) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", first_quick(1, [390, 1280]))
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_shuts_nobody_out(browser: Browser, written: Callable[[str], str], name: str, width: int) -> None:
     assert complaints(browser, written(name), width) == {"light": [], "dark": []}

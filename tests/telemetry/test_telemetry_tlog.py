@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cases import first_quick
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.errors import BadInput
@@ -231,7 +232,7 @@ def test_environment_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(read(tmp_path, *stream(3)).samples) == 3
 
 
-@pytest.mark.parametrize("number", [1, 2, 3, 4])
+@pytest.mark.parametrize("number", first_quick(2, [1, 2, 3, 4]))
 def test_real_tlogs_agree_with_pymavlink(shared_data: Path, number: int) -> None:
     from pymavlink import mavutil
 
