@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cases import first_quick
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
@@ -81,7 +82,7 @@ def test_a_logged_load_goes_on_as_the_flight_and_not_as_the_ground_after_it(arme
     assert found.power_W == pytest.approx(np.full((200, 1), 300.0))
 
 
-@pytest.mark.parametrize("word", ["log", "recent"])
+@pytest.mark.parametrize("word", first_quick(1, ["recent", "log"]))
 def test_the_forecasts_of_each_flight_are_right_by_the_time_in_the_air(word: str) -> None:
     flight = three_hops()
     load = stated_load(word, flight, None, FILE)

@@ -110,7 +110,7 @@ def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
     assert part.key == record.key
 
 
-@pytest.mark.parametrize("growth", [0.0, 0.5])
+@pytest.mark.parametrize("growth", first_quick(1, [0.5, 0.0]))
 def test_a_flight_to_the_end_tells_the_ohms_as_well_as_one_to_the_half(growth: float) -> None:
     """At the knee nobody knows how much of the drop is ohms; what was known before it must not be lost there."""
     true_ohm = type_ohm(PACK) * (1.0 + growth)
