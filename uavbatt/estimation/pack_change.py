@@ -30,7 +30,7 @@ from uavbatt.records import NAN, Sample
 RESTED_C_RATE, SWAP_ROWS, SWAP_LASTS_S = 0.15, 3, 1.9
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 # A pack that has rested for SLOWLY_AFTER_S rises by at most 1 mV a second; a worn pack in the cold by 3 mV.
-LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
+LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, QUIET_MEMORY = 0.035, 3.0, 15.0, 0.7
 # Five minutes after a flight no pack rises by 0.03 V a cell any more, unless it is empty. A minute is no glitch.
 CHARGED_AFTER_S, CHARGED_CELL_V, CHARGING_C_RATE, CHARGING_S = 300.0, 0.03, 0.05, 60.0
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
@@ -39,7 +39,7 @@ NO_PACK_CELL_V, NO_PACK_AT_REST_CELL_V = 2.0, 2.7
 OUT_S = 3.0  # without a pack for so long on the ground: it was taken out
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 SHOWN_S = 60.0  # time in which rows show the pack
-SAME_SHARE, SAME_C_RATE = 0.2, 0.03  # a load on the ground is the same within such a share, or a small part of 1 C
+SAME_SHARE = 0.2  # a load on the ground is the same within such a share, or within what a pack at rest may give
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # changing a pack and taking off takes longer than a minute
 
 
@@ -66,34 +66,39 @@ class Silence(NamedTuple):
         return consumed_Ah < self.counted_Ah - COUNTER_SLACK_AH
 
 
-class Idling(NamedTuple):
-    """Idling holds means of the last rows under an idle load on the ground: voltage of a cell [V] and current [A].
+class Quiet(NamedTuple):
+    """Quiet holds means of the last rows on the ground under the same load, which is small or none.
 
-    since_s : time of the first of them [s]. NaN without such rows.
+    cell_V : voltage of a cell [V]; current_A : [A]; since_s : time of the first of them [s]. NaN without such rows.
     """
 
     cell_V: float = NAN
     current_A: float = NAN
     since_s: float = NAN
 
-    def after(self, time_s: float, cell_V: float, current_A: float, capacity_Ah: float) -> Idling:
-        """Return the means after one more row; they begin anew if its current is another."""
-        if not self.is_same_load(current_A, capacity_Ah):
-            return Idling(cell_V, current_A, time_s)
-        mean_V = cell_V + (self.cell_V - cell_V) * RESTED_MEMORY
-        return Idling(mean_V, current_A + (self.current_A - current_A) * RESTED_MEMORY, self.since_s)
+    def after(self, time_s: float, cell_V: float, current_A: float, capacity_Ah: float) -> Quiet:
+        """Return the means after one more row; they begin anew if its load is another."""
+        if not self.is_same_load(cell_V, current_A, capacity_Ah):
+            return Quiet(cell_V, current_A, time_s)
+        mean_V = cell_V + (self.cell_V - cell_V) * QUIET_MEMORY
+        return Quiet(mean_V, current_A + (self.current_A - current_A) * QUIET_MEMORY, self.since_s)
 
-    def is_same_load(self, current_A: float, capacity_Ah: float) -> bool:
-        """Return True if a current [A] is that of these rows."""
-        return abs(current_A - self.current_A) < max(SAME_SHARE * self.current_A, SAME_C_RATE * capacity_Ah)
+    def is_same_load(self, cell_V: float, current_A: float, capacity_Ah: float) -> bool:
+        """Return True if a current [A] is that of these rows, or the power is: behind a converter the current falls."""
+        of_power_A = current_A * cell_V / self.cell_V
+        off_A = min(abs(current_A - self.current_A), abs(of_power_A - self.current_A))
+        return off_A < max(SAME_SHARE * self.current_A, RESTED_C_RATE * capacity_Ah)
 
-    def is_left(self, time_s: float, cell_V: float, row_s: float) -> bool:
-        """Return True if a cell shows a voltage [V] that these rows do not lead to; row_s : time since the last [s].
+    def shows_another(self, time_s: float, cell_V: float, current_A: float, row_s: float, capacity_Ah: float) -> bool:
+        """Return True if a row is of another pack than these rows; row_s : time since the last row [s].
 
-        Under the same load a pack falls slowly, and after some seconds it rises slowly, too.
+        Under the same load a pack falls slowly, and after some seconds it rises slowly, too. Under more it falls.
         """
         is_slow = time_s - self.since_s > SLOWLY_AFTER_S and row_s <= LEAPT_WITHIN_S
-        return cell_V < self.cell_V - FALLEN_CELL_V or (is_slow and cell_V > self.cell_V + LEAPT_CELL_V)
+        has_leapt = is_slow and cell_V > self.cell_V + LEAPT_CELL_V
+        if self.is_same_load(cell_V, current_A, capacity_Ah):
+            return has_leapt or cell_V < self.cell_V - FALLEN_CELL_V
+        return has_leapt and current_A > self.current_A
 
 
 class SwapWatch(NamedTuple):
@@ -110,10 +115,8 @@ class SwapWatch(NamedTuple):
     silence: Silence | None = None  # kept until the pack is loaded
     rows: int = 0
     other_since_s: float = NAN  # time of the first of these rows
-    rested_V: float = NAN  # of a cell of the believed pack, over its last rested rows
-    rested_since_s: float = NAN
+    quiet: Quiet = Quiet()  # of the believed pack
     settled_V: float = NAN  # of a cell, the lowest one since it has settled
-    idling: Idling = Idling()
     charging_s: float = 0.0  # time for which a current has flown into the pack since the last flight [s]
     out_since_s: float = NAN  # since when the input has shown no pack
     is_out: bool = False  # the pack was taken out
@@ -129,7 +132,7 @@ class SwapWatch(NamedTuple):
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
         is_at_rest = abs(current_A) < RESTED_C_RATE * capacity_Ah
-        is_parked = is_at_rest and sample.armed is False
+        is_parked = is_at_rest and (sample.armed is False or self.current_A < FLYING_C_RATE * capacity_Ah)
         least_V = NO_PACK_AT_REST_CELL_V if is_parked else NO_PACK_CELL_V
         if belief is None or not (cell_V > least_V and math.isfinite(current_A)):
             return self._without_pack(sample.time_s, read_V / cells, is_parked)
@@ -147,52 +150,55 @@ class SwapWatch(NamedTuple):
         if self.is_out:
             return self._other(now, silence)._replace(is_out=True)
         if is_at_rest:
-            return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V)
+            return self._at_rest(now, silence, sample, row.innovation_V / cells, cell_V, capacity_Ah)
         if silence is None:
             most_C = GROUNDED_C_RATE if sample.armed is False else FLYING_C_RATE
             may_idle = sample.armed is not True and 0.0 < current_A < most_C * capacity_Ah
-            return self._idling(now, cell_V, capacity_Ah) if may_idle else now
+            return self._quiet(now, None, cell_V, capacity_Ah, is_another=False) if may_idle else now
         if now._shows_another(silence, sample, pack):
             return self._other(now, silence)
         return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
 
     def _at_rest(
-        self, now: SwapWatch, silence: Silence | None, sample: Sample, above_V: float, cell_V: float
+        self,
+        now: SwapWatch,
+        silence: Silence | None,
+        sample: Sample,
+        above_V: float,
+        cell_V: float,
+        capacity_Ah: float,
     ) -> SwapWatch:
         """Return the watch `now` with what a row at rest shows.
 
         above_V : how far its voltage is above the model's [V a cell]; cell_V : its voltage [V a cell].
         """
-        since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else now.seen_s
-        other = cell_V < self.rested_V - FALLEN_CELL_V
-        if now.seen_s - since_s > SLOWLY_AFTER_S:
-            has_leapt = now.seen_s - self.seen_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V
-            other = other or has_leapt or above_V > FAR_CELL_V
+        is_same = self.quiet.is_same_load(cell_V, now.current_A, capacity_Ah)
+        is_far = now.seen_s - self.quiet.since_s > SLOWLY_AFTER_S and above_V > FAR_CELL_V
+        is_charged = cell_V > self.settled_V + CHARGED_CELL_V
+        other = (is_same and (is_far or is_charged)) or now.charging_s >= CHARGING_S
         if silence is not None:
             other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
-        other = other or cell_V > self.settled_V + CHARGED_CELL_V or now.charging_s >= CHARGING_S
-        if other:
-            kept = now._replace(rested_V=self.rested_V, rested_since_s=since_s, settled_V=self.settled_V)
-            return self._other(kept, silence)
-        rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
-        is_settled = now.seen_s - since_s > CHARGED_AFTER_S
-        settled_V = min(rested_V, self.settled_V) if math.isfinite(self.settled_V) else rested_V
-        return now._replace(
-            silence=silence, rested_V=rested_V, rested_since_s=since_s, settled_V=settled_V if is_settled else NAN
-        )
+        return self._quiet(now, silence, cell_V, capacity_Ah, is_another=other)
 
-    def _idling(self, now: SwapWatch, cell_V: float, capacity_Ah: float) -> SwapWatch:
-        """Return the watch `now` with what a row under an idle load shows, with so many volts a cell."""
-        row_s, is_same = now.seen_s - self.seen_s, self.idling.is_same_load(now.current_A, capacity_Ah)
-        has_risen = row_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V  # although it is loaded now
-        if has_risen or (is_same and self.idling.is_left(now.seen_s, cell_V, row_s)):
-            return self._other(now._replace(idling=self.idling, rested_V=self.rested_V), None)
-        return now._replace(idling=self.idling.after(now.seen_s, cell_V, now.current_A, capacity_Ah))
+    def _quiet(
+        self, now: SwapWatch, silence: Silence | None, cell_V: float, capacity_Ah: float, *, is_another: bool
+    ) -> SwapWatch:
+        """Return the watch `now` with what a row on the ground shows, with so many volts a cell.
+
+        is_another : something else than the rows before it shows another pack.
+        """
+        row_s, before = now.seen_s - self.seen_s, self.quiet
+        if is_another or before.shows_another(now.seen_s, cell_V, now.current_A, row_s, capacity_Ah):
+            return self._other(now._replace(quiet=before, settled_V=self.settled_V), silence)
+        quiet = before.after(now.seen_s, cell_V, now.current_A, capacity_Ah)
+        is_settled = now.seen_s - quiet.since_s > CHARGED_AFTER_S
+        settled_V = min(quiet.cell_V, self.settled_V) if math.isfinite(self.settled_V) else quiet.cell_V
+        return now._replace(silence=silence, quiet=quiet, settled_V=settled_V if is_settled else NAN)
 
     def _without_pack(self, time_s: float, cell_V: float, is_parked: bool) -> SwapWatch:
         """Return the watch after a row that shows no pack, with so many volts a cell.
 
-        is_parked : disarmed and without a current, the pack was taken out; otherwise it is a broken wire.
+        is_parked : without a current, and disarmed or not flying before: the pack was taken out; else a broken wire.
         """
         if not (is_parked and cell_V < NO_PACK_AT_REST_CELL_V):
             return self._replace(out_since_s=NAN)

@@ -21,7 +21,7 @@ import msgspec
 
 from uavbatt.files import atomic_write
 
-VERSION = 15
+VERSION = 16
 MOST_BYTES = 1_000_000
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 HARDWARE_CLOCKS = Path("/sys/class/rtc")
