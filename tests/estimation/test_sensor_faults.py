@@ -53,6 +53,7 @@ def test_it_is_forgiven_when_it_moves_again() -> None:
         [18.0] * 100 + [20.0] * 100 + [18.0] * 100,  # steps of a test
         [*gusty(120), *[0.3] * 120],  # landed, on its electronics
         gusty(300, digit_A=1.0),  # a coarse sensor
+        [5.0 + k % 2 for k in range(60)] + [5.0] * 60,  # a very coarse one: the load no longer lies between two steps
     ],
 )
 def test_what_is_steady_by_nature_is_not_stuck(current_A: list[float]) -> None:

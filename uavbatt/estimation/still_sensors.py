@@ -19,8 +19,9 @@ COARSE_CELL_V, COARSE_CHANGES = 0.1, 5
 TURN_CELL_V, TURN_STEPS, TURNS = 0.012, 1.5, 6
 # A current is stuck if it should have changed this many times since its last change. The expected number follows from
 # the share of rows in which it usually changes (`habit`, over about a hundred rows). On the ground, below a tenth of
-# 1 C, a constant current is normal.
-MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
+# 1 C, a constant current is normal. It is so in the air, too, if the steps are more than COARSE_SHARE of the current:
+# now the load lies between two of them, now it does not.
+MISSED_MOVES, STILL_C_RATE, HABIT_KEPT, COARSE_SHARE = 15.0, 0.1, 0.99, 0.1
 
 
 class LastChange(NamedTuple):
@@ -88,6 +89,7 @@ class SensorChanges(NamedTuple):
 
     def stuck_current_s(self, capacity_Ah: float) -> float:
         """Return how long the current has been constant against its habit or the voltage's turns [s]; 0 if sound."""
-        missed = self.current.rows * self.current.habit if self.current.value > STILL_C_RATE * capacity_Ah else 0.0
+        least_A = max(STILL_C_RATE * capacity_Ah, self.current.step / COARSE_SHARE)
+        missed = self.current.rows * self.current.habit if self.current.value > least_A else 0.0
         is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0
