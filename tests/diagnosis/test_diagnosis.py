@@ -188,3 +188,20 @@ def test_a_lag_of_the_sensor_is_in_its_interval_whatever_heat_the_reactions_give
     diagnosis = diagnose(flown, sure, PACK, engine=engine_for(is_long=True))
     (told,) = (c.parameters["sensor_lag_s"] for c in diagnosis.classes if "temperature_lag" in c.members)
     assert LAG_S < told.lo < 4.5 * LAG_S < told.hi < 300.0
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(1.0, "no_missing_effect"), (1.12, "effect_found")])
+def test_coarse_sensors_are_no_undeclared_effect_and_hide_no_other(gain: float, verdict: str) -> None:
+    """A voltmeter of 0.1 V, a current in whole amperes and a thermometer of whole degrees, as radios and BMS send them.
+
+    Nothing could be found in such logs, and sound packs had an undeclared effect.
+    """
+    flights = [fly(*mission, gain=gain) for mission in MISSIONS]
+    seen = [
+        replace(r, voltage_V=np.round(r.voltage_V, 1), current_A=np.round(r.current_A), temp_C=np.round(r.temp_C))
+        for r in flights
+    ]
+    diagnosis = found(seen)
+    assert diagnosis.verdict == verdict, diagnosis.reasons
+    if gain > 1.0:
+        assert diagnosis.classes[0].members == ("current_gain",)

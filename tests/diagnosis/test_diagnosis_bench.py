@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import msgspec
@@ -131,3 +132,12 @@ def test_a_fit_tells_the_start_of_packs_that_charge_to_less_than_full(
     trajectory = trajectory._replace(soc=trajectory.soc - trajectory.soc[0] + started)
     found = wander.learn(stack, trajectory, list(range(len(slow))), CELLS).start_soc
     assert found == (None if told is None else pytest.approx(told))
+
+
+@pytest.mark.parametrize("digit_V", [0.05, 0.1, 0.2])
+def test_the_rounding_of_a_coarse_voltmeter_is_noise_of_a_row(digit_V: float) -> None:
+    """The noise does not reach from one reading to the next: most of them are the same, and none was seen."""
+    bench = held_bench(1.0)
+    rounded = replace(bench, voltage_V=np.round(bench.voltage_V / digit_V) * digit_V)
+    assert noise_V(rounded, ohm=0.0375) == pytest.approx(digit_V / math.sqrt(12.0), rel=0.01)
+    assert noise_V(bench, ohm=0.0375) < 0.02

@@ -12,6 +12,7 @@ import pytest
 from factories import generic_pack
 from frames import battery_row, frame, hover, smart, write_log
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+from scoring.other_pack import Pack, drawn
 
 from uavbatt.navigation import Navigation
 from uavbatt.prediction.load.power_history import RecentLoad
@@ -63,17 +64,42 @@ def test_an_autopilot_that_speaks_on_by_usb_shows_no_pack() -> None:
     assert begins(flown(), usb, later(flown(), 60.0)) == (FIRST_S + 60.0,)
 
 
-@pytest.mark.parametrize(("full_V", "is_charged"), [(16.7, True), (15.6, False)])
-def test_a_pack_charged_in_a_dock_is_another_discharge(full_V: float, is_charged: bool) -> None:
+@pytest.mark.parametrize(("full_V", "again_soc", "is_charged"), [(16.7, 1.0, True), (15.6, 0.65, False)])
+def test_a_pack_charged_in_a_dock_is_another_discharge(full_V: float, again_soc: float, is_charged: bool) -> None:
     """The autopilot speaks on all the time; a pack that only rests for so long is the same."""
     risen_V = np.minimum(15.4 + 0.1 * np.exp(-np.arange(1500) / 20.0) + np.arange(1500) / 1000.0, full_V)
     dock = tuple(
         Sample(FIRST_S + 1.0 + k, float(volts), 0.2, 25.0, flown()[-1].consumed_Ah) for k, volts in enumerate(risen_V)
     )
-    again = later(flown(), 1501.0)
+    again = later(flown(again_soc), 1501.0)
     take_off_s = next(row.time_s for row in again if row.current_A > 5.0)
     found = begins(flown(), dock, again)
     assert found == ((pytest.approx(take_off_s - 60.0, abs=1.0),) if is_charged else ())
+
+
+def in_turn(*parts: tuple[Pack, int, float], digit_V: float = 0.01, cells: int = 4) -> tuple[float, ...]:
+    """Where discharges begin in a log of a flight and waits, each of a pack for some seconds under a power [W]."""
+    rows = [*drawn(Pack(cells=cells), [75.0 * cells] * 300, 0.0, cutoff_V=2.0 * cells).rows]
+    for pack, seconds, power_W in parts:
+        rows += drawn(pack, [power_W] * seconds, float(len(rows)), armed=False).rows
+    return begins(tuple(replace(row, voltage_V=round(row.voltage_V / digit_V) * digit_V) for row in rows))
+
+
+@pytest.mark.parametrize("power_W", [0.0, 5.0, 40.0])  # 40 W: half of 1 C
+@pytest.mark.parametrize("soc", [0.45, 1.0])
+def test_a_pack_connected_before_the_one_before_it_is_taken_off_is_another(soc: float, power_W: float) -> None:
+    """A fit took the two flights for one of a pack with twice the charge: its curve was 0.4 V a cell too low."""
+    assert in_turn((Pack(soc=0.7), 60, power_W), (Pack(soc=soc), 60, power_W)) == (360.0,)
+
+
+@pytest.mark.parametrize("digit_V", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize(("cells", "air_C"), [(2, 25.0), (4, -10.0), (12, 25.0)])
+def test_avionics_that_are_switched_on_the_ground_change_no_pack(cells: int, air_C: float, digit_V: float) -> None:
+    pack = Pack(cells=cells, air_C=air_C, resistance=2.0)
+    loads_W = [cells * watts for watts in (1.0, 10.0, 15.0, 2.0, 20.0, 0.0, 5.0, 1.0)]
+    landed = drawn(pack, [75.0 * cells] * 300, 0.0, cutoff_V=2.0 * cells).rows
+    assert len(landed) == 300
+    assert in_turn(*((pack, 40, power_W) for power_W in loads_W), digit_V=digit_V, cells=cells) == ()
 
 
 def test_a_part_charged_pack_is_told_by_a_counter_that_begins_again() -> None:

@@ -30,6 +30,9 @@ COUNTER_SLACK_AH = 0.02
 # The shortest charge between two flights, and the rest by which a voltage has settled.
 DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
+# On the ground, so long after a load, the voltage does not leap by this share, nor by more than its last digit, while
+# the current or the power stays within such a share of itself or of the least load.
+QUIET_S, LEAPT, LEAPT_STEPS, SAME_SHARE, SAME_OF_LOAD, ROUNDED_V = 15.0, 0.0125, 1.5, 0.2, 0.1, 1e-6
 
 
 def later_discharges(
@@ -74,6 +77,7 @@ def begins_s(rows: Columns, told: Sequence[tuple[float, str]] = ()) -> tuple[flo
         or _is_another(rows, k, least_A)
         or (_rests(rows, k, least_A) and ((silent_s < spoken_s) & (spoken_s < begin_s)).any())  # no pack in it
     ]
+    changed_s += _changed_at_once(rows, least_A)
     docked = _docked(rows, least_A)
     charged_s = [begin_s for landed_s, begin_s in docked if not any(landed_s < s <= begin_s for s in changed_s)]
     return tuple(sorted([*changed_s, *charged_s]))
@@ -157,6 +161,27 @@ def _loaded_s(flight: Flight, least_A: float) -> float:
         return np.inf
     steps = pairwise(flight.samples)
     return sum(min(b.time_s - a.time_s, SILENCE_S) for a, b in steps if a.current_A > least_A)
+
+
+def _changed_at_once(rows: Columns, least_A: float) -> Iterator[float]:
+    """Yield the time [s] of the first row of each pack that was connected before the one before it was taken off."""
+    time_s, volts, amps = rows.time_s, rows.voltage_V, np.nan_to_num(rows.current_A)
+    steps_V = np.abs(np.diff(volts))
+    least_V = LEAPT_STEPS * float(np.min(steps_V[steps_V > ROUNDED_V], initial=np.inf))
+    is_quiet = amps < least_A if np.isfinite(least_A) else np.zeros(amps.size, dtype=bool)
+    leaps = is_quiet[:-1] & is_quiet[1:] & (steps_V > LEAPT * volts[:-1]) & (np.diff(time_s) <= SILENCE_S)
+    for k in np.flatnonzero(leaps).tolist():
+        first, mid, last = np.searchsorted(
+            time_s, [time_s[k] - QUIET_S, time_s[k] - QUIET_S / 3, time_s[k] + QUIET_S / 3]
+        )
+        if first == 0 or not is_quiet[first - 1 : last].all():
+            continue
+        before, after = slice(mid, k + 1), slice(k + 1, last)
+        was_V, is_V = float(np.median(volts[before])), float(np.median(volts[after]))
+        was_A, is_A = float(np.median(amps[before])), float(np.median(amps[after]))
+        off_A = min(abs(is_A - was_A), abs(is_A * is_V / was_V - was_A))
+        if abs(is_V - was_V) > max(LEAPT * was_V, least_V) and off_A < max(SAME_SHARE * was_A, SAME_OF_LOAD * least_A):
+            yield float(time_s[k + 1])
 
 
 def _docked(rows: Columns, least_A: float) -> Iterator[tuple[float, float]]:

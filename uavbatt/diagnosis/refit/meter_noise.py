@@ -17,6 +17,7 @@ HELD_SHARE = 0.02  # of the upper current (90 % point), by which most rows of a 
 LEAST_BENDS, LEAST_RESTED = 10, 30  # fewer show no scatter
 FAR_ABOVE = 4.0 / 3.0  # so much above that of the file is the scatter of single flights
 NEARLY_ONE_MORE = 0.1  # rows of a little more than 1 s are five to a bin
+LEAST_DIGIT, MOST_DIGIT = 1e-6, 0.2  # a smaller difference is a rounding error of ours; share of the upper current
 BENT_BY_ONE = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
 
 
@@ -25,7 +26,8 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
 
     It comes from second differences of the voltage plus the drop of the load: changes that both sensors show cancel,
     and noise of one sensor alone is left, which the model cannot follow. Between slow rows the voltage follows a change
-    of the load further than `ohm` [ohm] says, and no mean over BIN_S makes the noise smaller.
+    of the load further than `ohm` [ohm] says, and no mean over BIN_S makes the noise smaller. Nor does it make the
+    rounding of coarse sensors smaller, where the noise does not reach from one reading to the next.
     """
     apart_s = spacing_s(record)
     if apart_s > SLOWEST_S:
@@ -33,7 +35,19 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
     if apart_s > FAST_ROW_S and not _holds_load(record):
         ohm = _followed_ohm(record)
     bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
+    digit_A = _last_digit(record.current_A)
+    if digit_A > MOST_DIGIT * np.percentile(np.abs(record.current_A), 90):
+        digit_A = 0.0  # the steps of a bench test
+    rounded_V = math.hypot(_last_digit(record.voltage_V), ohm * digit_A) / math.sqrt(12.0)
+    if observed.MAD_TO_SD * bent_V / math.sqrt(BENT_BY_ONE) < rounded_V:
+        return rounded_V
     return _of_compared(float(bent_V), apart_s)
+
+
+def _last_digit(readings: Array) -> float:
+    """Return the smallest difference between two readings in turn; 0 if they are all the same."""
+    steps = np.abs(np.diff(readings))
+    return float(np.min(steps[steps > LEAST_DIGIT], initial=np.inf)) if (steps > LEAST_DIGIT).any() else 0.0
 
 
 def _of_compared(bent: float, apart_s: float) -> float:
@@ -57,14 +71,14 @@ def noise_K(record: ObservedRecord, stated_K: float) -> float:
 
     The noise that a file states is of means over BIN_S in its own records: a mean of fewer rows, or a single reading,
     has more. If it is as large as usual, the file knows it better than one record does, whose scatter would hide what
-    moves the temperature.
+    moves the temperature. A thermometer of whole degrees has the noise of its rounding at least.
     """
-    apart_s = spacing_s(record)
-    bent_K = np.diff(record.temp_C[np.isfinite(record.temp_C)], 2)
+    apart_s, known_C = spacing_s(record), record.temp_C[np.isfinite(record.temp_C)]
+    bent_K, least_K = np.diff(known_C, 2), max(stated_K, _last_digit(known_C) / math.sqrt(12.0))
     if apart_s > SLOWEST_S or bent_K.size < LEAST_BENDS:
-        return stated_K
+        return least_K
     seen_K = _of_compared(float(np.median(np.abs(bent_K))), apart_s)
-    return seen_K if seen_K > FAR_ABOVE * stated_K else stated_K
+    return seen_K if seen_K > FAR_ABOVE * stated_K else least_K
 
 
 def _holds_load(record: ObservedRecord) -> bool:
