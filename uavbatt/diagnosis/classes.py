@@ -113,7 +113,8 @@ def intervals(fit: Refit) -> dict[str, Interval]:
         value, error = float(values[k]), float(errors[k])
         lo, hi = value - COVERAGE * error, value + COVERAGE * error
         if name == "sensor_lag_s":
-            factor = math.exp(COVERAGE * math.hypot(error / value, LAG_SHARE))
+            widest = math.log(freed.high / freed.low)  # of a sensor without a lag, which has hardly any value
+            factor = math.exp(min(COVERAGE * math.hypot(error / value, LAG_SHARE), widest))
             lo, hi = value / factor, value * factor
         out[name] = Interval(value, max(lo, freed.low), min(hi, freed.high), UNITS[name])
     return out
