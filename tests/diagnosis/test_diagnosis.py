@@ -205,3 +205,10 @@ def test_coarse_sensors_are_no_undeclared_effect_and_hide_no_other(gain: float, 
     assert diagnosis.verdict == verdict, diagnosis.reasons
     if gain > 1.0:
         assert diagnosis.classes[0].members == ("current_gain",)
+
+
+def test_a_thermometer_that_follows_at_once_is_no_effect() -> None:
+    """The lag that the refit finds is hardly any, and the interval around it was beyond the largest number."""
+    diagnosis = diagnosed(lag_s=1.0)
+    assert not any(c.probability > 0.4 for c in diagnosis.classes)
+    assert all(math.isfinite(hidden.hi) for hidden in diagnosis.hidden)

@@ -123,7 +123,7 @@ NOTHING = Candidate((), ())
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
 # Errors that the file states. The errors of other effects follow that of the resistance.
-STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
+STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K", "heat_capacity_JpKAh", "cooling_WpKAh")
 # A reaction slows down in the cold by another law than a resistance grows, and the model does not have that law. If the
 # file has a slow reaction, its behaviour in the cold is known no better than this, however well it fits a few flights.
 LEAST_ACTIVATION_SD_K = 300.0
