@@ -92,6 +92,20 @@ def test_a_pack_connected_before_the_one_before_it_is_taken_off_is_another(soc: 
     assert in_turn((Pack(soc=0.7), 60, power_W), (Pack(soc=soc), 60, power_W)) == (360.0,)
 
 
+@pytest.mark.parametrize("every", [2, 7])
+def test_it_is_another_in_slow_rows_as_well(every: int) -> None:
+    flight = drawn(Pack(), [300.0] * 301, 0.0).rows
+    waits = [drawn(Pack(soc=soc), [5.0] * 63, 301.0 + k * 63.0, armed=False).rows for k, soc in enumerate((0.7, 1.0))]
+    (begin_s,) = begins(tuple((*flight, *waits[0], *waits[1])[::every]))
+    assert 364.0 <= begin_s < 364.0 + every
+
+
+def test_a_leap_of_the_voltage_where_the_current_is_not_known_is_no_change() -> None:
+    flight = drawn(Pack(), [300.0] * 300, 0.0).rows
+    blind = [replace(r, current_A=NAN, voltage_V=r.voltage_V - k // 20 % 2) for k, r in enumerate(flight)]
+    assert begins(flight, tuple(replace(r, time_s=r.time_s + 300.0) for r in blind)) == ()
+
+
 @pytest.mark.parametrize("digit_V", [0.001, 0.01, 0.1])
 @pytest.mark.parametrize(("cells", "air_C"), [(2, 25.0), (4, -10.0), (12, 25.0)])
 def test_avionics_that_are_switched_on_the_ground_change_no_pack(cells: int, air_C: float, digit_V: float) -> None:

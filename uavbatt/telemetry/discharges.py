@@ -165,18 +165,16 @@ def _loaded_s(flight: Flight, least_A: float) -> float:
 
 def _changed_at_once(rows: Columns, least_A: float) -> Iterator[float]:
     """Yield the time [s] of the first row of each pack that was connected before the one before it was taken off."""
-    time_s, volts, amps = rows.time_s, rows.voltage_V, np.nan_to_num(rows.current_A)
+    time_s, volts, amps = rows.time_s, rows.voltage_V, rows.current_A
     steps_V = np.abs(np.diff(volts))
     least_V = LEAPT_STEPS * float(np.min(steps_V[steps_V > ROUNDED_V], initial=np.inf))
-    is_quiet = amps < least_A if np.isfinite(least_A) else np.zeros(amps.size, dtype=bool)
+    is_quiet = (amps < least_A) & np.isfinite(least_A)  # a current that is not known is not quiet
     leaps = is_quiet[:-1] & is_quiet[1:] & (steps_V > LEAPT * volts[:-1]) & (np.diff(time_s) <= SILENCE_S)
     for k in np.flatnonzero(leaps).tolist():
-        first, mid, last = np.searchsorted(
-            time_s, [time_s[k] - QUIET_S, time_s[k] - QUIET_S / 3, time_s[k] + QUIET_S / 3]
-        )
-        if first == 0 or not is_quiet[first - 1 : last].all():
+        first, near, last = np.searchsorted(time_s, time_s[k] + QUIET_S * np.array([-1.0, -1.0 / 3.0, 1.0 / 3.0]))
+        before, after = slice(near, k + 1), slice(k + 1, max(last, k + 2))
+        if first == 0 or not is_quiet[first - 1 : after.stop].all():
             continue
-        before, after = slice(mid, k + 1), slice(k + 1, last)
         was_V, is_V = float(np.median(volts[before])), float(np.median(volts[after]))
         was_A, is_A = float(np.median(amps[before])), float(np.median(amps[after]))
         off_A = min(abs(is_A - was_A), abs(is_A * is_V / was_V - was_A))
