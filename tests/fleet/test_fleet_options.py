@@ -56,6 +56,12 @@ def test_batteries_are_joined_as_they_are_wired(two_batteries: LogFile) -> None:
     assert flown(two_batteries, join="series").cells == 2 * (parts.cells or 0)
 
 
+def test_a_statement_that_the_log_contradicts_is_the_reason_in_its_row(two_batteries: LogFile) -> None:
+    """It was "expected at least one row with the voltage of a pack", of a log full of them."""
+    (row,) = fly_log(two_batteries, replace(PLAIN, options=PackOptions(capacity_Ah=5.0, cells=3)))
+    assert row.status == "bad" and row.reason.startswith("--cells: 3 cells in series: 16.7 V is 5.57 V a cell")
+
+
 def test_a_vehicle_file_or_a_stated_load_is_what_is_expected_to_come(shared_fleet: tuple[LogFile, float]) -> None:
     log, end_s = shared_fleet
     known = flown(log, load="log")

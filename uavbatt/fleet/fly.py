@@ -14,6 +14,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing.log_statements import check_statements
 from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
@@ -27,6 +28,7 @@ from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, Sample
+from uavbatt.telemetry.discharges import with_its_pack
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.quality.drawn import drawn, loaded_A
@@ -115,7 +117,11 @@ def lost_rows(log: LogFile, reason: str, job: Job) -> tuple[FlightRow]:
 def _flown(
     flight: Flight, size_bytes: int, log: LogFile, job: Job, met: Sequence[RememberedPack]
 ) -> tuple[FlightRow, ...]:
-    """Return the row of each flight of a log, which has `size_bytes` unpacked."""
+    """Return the row of each flight of a log, which has `size_bytes` unpacked.
+
+    Raises UsageError for a statement that the first rows contradict.
+    """
+    check_statements(job.battery, job.options, with_its_pack(flight))
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
     packs = tuple(met) or (NOT_MET,)
