@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import first_quick
 from planted_flights import MISSIONS, fly, found
 
 from uavbatt.battery.model import Array
@@ -43,7 +44,7 @@ def test_a_filtered_current_is_no_declared_effect(flights: list[ObservedRecord])
     assert any("current_delay is no delay: the current read follows the truth" in r for r in diagnosis.reasons)
 
 
-@pytest.mark.parametrize("seconds", [3, pytest.param(-3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", first_quick(1, [3, -3]))
 def test_a_delay_stays_a_delay(flights: list[ObservedRecord], seconds: int) -> None:
     ahead, behind_rows = max(-seconds, 0), max(seconds, 0)
     cut = [

@@ -154,7 +154,7 @@ class SwapWatch(NamedTuple):
         if silence is None:
             most_C = GROUNDED_C_RATE if sample.armed is False else FLYING_C_RATE
             may_idle = sample.armed is not True and 0.0 < current_A < most_C * capacity_Ah
-            return self._quiet(now, None, cell_V, capacity_Ah, is_another=False) if may_idle else now
+            return self._while_quiet(now, None, cell_V, capacity_Ah, is_another=False) if may_idle else now
         if now._shows_another(silence, sample, pack):
             return self._other(now, silence)
         return now._replace(silence=silence) if _is_on_ground(silence, sample, pack) else now  # else it flies on
@@ -178,9 +178,9 @@ class SwapWatch(NamedTuple):
         other = (is_same and (is_far or is_charged)) or now.charging_s >= CHARGING_S
         if silence is not None:
             other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
-        return self._quiet(now, silence, cell_V, capacity_Ah, is_another=other)
+        return self._while_quiet(now, silence, cell_V, capacity_Ah, is_another=other)
 
-    def _quiet(
+    def _while_quiet(
         self, now: SwapWatch, silence: Silence | None, cell_V: float, capacity_Ah: float, *, is_another: bool
     ) -> SwapWatch:
         """Return the watch `now` with what a row on the ground shows, with so many volts a cell.

@@ -14,21 +14,18 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing.log_statements import check_statements
 from uavbatt.battery.sizing.pack_size import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.look import doubts_of_log, reasons
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay.flights import ReplayedFlight, flights_of
 from uavbatt.log_replay.load_options import stated_load
 from uavbatt.log_replay.outcome import Outcome, outcome
-from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
+from uavbatt.log_replay.run import ReplayedRow, engine_for, estimator_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, Sample
-from uavbatt.telemetry.discharges import with_its_pack
 from uavbatt.telemetry.formats.packed import Content, as_log
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.quality.drawn import drawn, loaded_A
@@ -121,11 +118,11 @@ def _flown(
 
     Raises UsageError for a statement that the first rows contradict.
     """
-    check_statements(job.battery, job.options, with_its_pack(flight))
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
     packs = tuple(met) or (NOT_MET,)
-    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, packs[0].health)
+    settings = replace(job.settings, load=load)
+    estimator = estimator_for(flight, job.battery, job.options, settings, packs[0].health, engine)
     run = list(steps(flight, estimator, [one.health for one in packs[1:]]))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:

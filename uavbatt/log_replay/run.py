@@ -57,13 +57,15 @@ def estimator_for(
     options: PackOptions,
     settings: ForecastSettings,
     remembered: PackHealth | None,
+    engine: Engine | None = None,
 ) -> Estimator:
     """Make the estimator of a flight, after a check of the stated pack against the first rows.
 
-    Raises UsageError for a statement that the rows contradict.
+    engine : None: the one for a flight of so many rows. Raises UsageError for a statement that the rows contradict.
     """
     check_statements(battery, options, with_its_pack(flight))
-    return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
+    engine = engine or engine_for(is_long=len(flight.samples) >= MANY_ROWS)
+    return Estimator(battery, options, settings, engine, remembered)
 
 
 def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:

@@ -21,6 +21,7 @@ import numpy as np
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.columns import Columns
 from uavbatt.telemetry.quality.drawn import loaded_A, with_pack
+from uavbatt.telemetry.quality.last_digit import last_digit
 
 SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s in a DataFlash log
 # Voltage after the silence over the highest one before it, from which on the pack is another or was charged: a pack at
@@ -32,7 +33,7 @@ DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
 # On the ground, so long after a load, the voltage does not leap by this share, nor by more than its last digit, while
 # the current or the power stays within such a share of itself or of the least load.
-QUIET_S, LEAPT, LEAPT_STEPS, SAME_SHARE, SAME_OF_LOAD, ROUNDED_V = 15.0, 0.0125, 1.5, 0.2, 0.1, 1e-6
+QUIET_S, LEAPT, LEAPT_STEPS, SAME_SHARE, SAME_OF_LOAD = 15.0, 0.0125, 1.5, 0.2, 0.1
 
 
 def later_discharges(
@@ -167,7 +168,7 @@ def _changed_at_once(rows: Columns, least_A: float) -> Iterator[float]:
     """Yield the time [s] of the first row of each pack that was connected before the one before it was taken off."""
     time_s, volts, amps = rows.time_s, rows.voltage_V, rows.current_A
     steps_V = np.abs(np.diff(volts))
-    least_V = LEAPT_STEPS * float(np.min(steps_V[steps_V > ROUNDED_V], initial=np.inf))
+    least_V = LEAPT_STEPS * last_digit(volts)
     is_quiet = (amps < least_A) & np.isfinite(least_A)  # a current that is not known is not quiet
     leaps = is_quiet[:-1] & is_quiet[1:] & (steps_V > LEAPT * volts[:-1]) & (np.diff(time_s) <= SILENCE_S)
     for k in np.flatnonzero(leaps).tolist():

@@ -10,6 +10,7 @@ from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.telemetry.quality.last_digit import last_digit
 
 FAST_ROW_S = 1.5  # between slower rows the polarisation follows the load
 SLOWEST_S = 60.0  # slower rows mix the bend of a discharge with the noise
@@ -17,7 +18,8 @@ HELD_SHARE = 0.02  # of the upper current (90 % point), by which most rows of a 
 LEAST_BENDS, LEAST_RESTED = 10, 30  # fewer show no scatter
 FAR_ABOVE = 4.0 / 3.0  # so much above that of the file is the scatter of single flights
 NEARLY_ONE_MORE = 0.1  # rows of a little more than 1 s are five to a bin
-LEAST_DIGIT, MOST_DIGIT = 1e-6, 0.2  # a smaller difference is a rounding error of ours; share of the upper current
+MOST_DIGIT = 0.2  # of the upper current (90 % point): larger steps are those of a bench test
+ROUNDING = math.sqrt(12.0)  # steps of a meter over the sd of its rounding
 BENT_BY_ONE = 6.0  # 1² + 2² + 1²: the variance of a second difference, of that of one row
 
 
@@ -34,20 +36,14 @@ def noise_V(record: ObservedRecord, ohm: float) -> float:
         return 0.0
     if apart_s > FAST_ROW_S and not _holds_load(record):
         ohm = _followed_ohm(record)
-    bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
-    digit_A = _last_digit(record.current_A)
+    bent_V = float(np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2))))
+    digit_A = last_digit(record.current_A)
     if digit_A > MOST_DIGIT * np.percentile(np.abs(record.current_A), 90):
-        digit_A = 0.0  # the steps of a bench test
-    rounded_V = math.hypot(_last_digit(record.voltage_V), ohm * digit_A) / math.sqrt(12.0)
-    if observed.MAD_TO_SD * bent_V / math.sqrt(BENT_BY_ONE) < rounded_V:
+        digit_A = 0.0
+    rounded_V = math.hypot(last_digit(record.voltage_V), ohm * digit_A) / ROUNDING
+    if _of_compared(bent_V, observed.BIN_S) < rounded_V:  # the noise of a single row
         return rounded_V
-    return _of_compared(float(bent_V), apart_s)
-
-
-def _last_digit(readings: Array) -> float:
-    """Return the smallest difference between two readings in turn; 0 if they are all the same."""
-    steps = np.abs(np.diff(readings))
-    return float(np.min(steps[steps > LEAST_DIGIT], initial=np.inf)) if (steps > LEAST_DIGIT).any() else 0.0
+    return _of_compared(bent_V, apart_s)
 
 
 def _of_compared(bent: float, apart_s: float) -> float:
@@ -74,7 +70,7 @@ def noise_K(record: ObservedRecord, stated_K: float) -> float:
     moves the temperature. A thermometer of whole degrees has the noise of its rounding at least.
     """
     apart_s, known_C = spacing_s(record), record.temp_C[np.isfinite(record.temp_C)]
-    bent_K, least_K = np.diff(known_C, 2), max(stated_K, _last_digit(known_C) / math.sqrt(12.0))
+    bent_K, least_K = np.diff(known_C, 2), max(stated_K, last_digit(known_C) / ROUNDING)
     if apart_s > SLOWEST_S or bent_K.size < LEAST_BENDS:
         return least_K
     seen_K = _of_compared(float(np.median(np.abs(bent_K))), apart_s)
