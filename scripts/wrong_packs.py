@@ -1,11 +1,13 @@
 """Packs of another model that differ from what is stated: the forecasts and warnings, and how late they come.
 
-    python scripts/wrong_packs.py [--only estimator|mixed|gauged|live] [--quick] [--markdown FILE] [--flight NAME]
+    python scripts/wrong_packs.py [--only estimator|mixed|landed|gauged|live] [--quick] [--markdown FILE]
+                                  [--flight NAME]
 
 Flies small, worn, part-charged and mis-stated packs through the estimator, with the generic battery and with one fitted
-to healthy packs of the make (mixed: to packs of every age; gauged: generic, of packs that say themselves what they
-hold), and the faults of sensors, swaps and statements through the companion process. Reports, does not judge. Tables go
-to stdout, progress to stderr; --markdown also writes them for docs/wrong_packs.md.
+to healthy packs of the make (mixed: to packs of every age; landed: to the same, whose crews land with charge left;
+gauged: generic, of packs that say themselves what they hold), and the faults of sensors, swaps and statements through
+the companion process. Reports, does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for
+docs/wrong_packs.md.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread
 from scoring.progress import progress
 from scoring.table import Table, show
 
-SECTIONS = ("estimator", "mixed", "gauged", "live")
+SECTIONS = ("estimator", "mixed", "landed", "gauged", "live")
 EACH, EACH_QUICK, WORKERS = 6, 2, 2
 SHOWN_S, SHOWN_EVERY_S = 180.0, 5.0
 Given = TypeVar("Given")
@@ -53,7 +55,8 @@ def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
     faults: list[wrong_live.Heard] = []
     each = EACH_QUICK if is_quick else EACH
     cases = wrong_cases.every(each) if "estimator" in sections else []
-    cases += wrong_cases.mixed(each) if "mixed" in sections else []
+    for fleet in (wrong_cases.MIXED, wrong_cases.LANDED):
+        cases += wrong_cases.of_fleet(each, fleet) if fleet in sections else []
     cases += wrong_cases.gauged(each) if "gauged" in sections else []
     if cases:
         flown = list(_each(wrong_judged.judged, cases, say, "estimator"))
@@ -78,7 +81,8 @@ def _one(name: str) -> int:
     """Return the lines of one flight through the estimator, by its name in the tables."""
     from scoring import wrong_cases, wrong_judged
 
-    cases = {case.name: case for case in wrong_cases.every(EACH) + wrong_cases.mixed(EACH) + wrong_cases.gauged(EACH)}
+    fleets = [c for fleet in (wrong_cases.MIXED, wrong_cases.LANDED) for c in wrong_cases.of_fleet(EACH, fleet)]
+    cases = {case.name: case for case in wrong_cases.every(EACH) + fleets + wrong_cases.gauged(EACH)}
     if name not in cases:
         print(f"wrong_packs: --flight {name}: expected one of {', '.join(cases)}", file=sys.stderr)
         return 2

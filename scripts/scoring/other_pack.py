@@ -183,6 +183,11 @@ class Flown:
         """Return the end of flight [s]: the last row, of a flight flown to its end."""
         return self.rows[-1].time_s
 
+    def until(self, soc: float) -> Flown:
+        """Return the flight until its charge is below `soc`: the crew lands."""
+        rows = next((k for k, left in enumerate(self.soc) if left < soc), len(self.rows))
+        return Flown(self.rows[:rows], self.soc[:rows], self.voltage_V[:rows], self.current_A[:rows])
+
     def flight(self, name: str = "another pack") -> Flight:
         """Return the rows as a log."""
         return Flight(name, "csv", self.rows, duration_s=self.end_s - self.rows[0].time_s)

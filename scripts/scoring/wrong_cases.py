@@ -1,7 +1,8 @@
 """The flights of `wrong_packs.py`: packs that are not what is stated, drawn once and for all by fixed seeds.
 
 A generic battery meets any make at 0.4 to 2.5 times its ohms; a fitted one meets packs of the make that it was fitted
-to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age. A gauged
+to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age, a landed
+one to the same flights if their crews land with a fifth to a third of the charge. A gauged
 one is a generic battery of a smart pack, whose gauge says what it holds today.
 """
 
@@ -31,7 +32,7 @@ from scoring.other_pack import (
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 
-GENERIC, FITTED, MIXED, GAUGED = "generic", "fitted", "mixed", "gauged"
+GENERIC, FITTED, MIXED, LANDED, GAUGED = "generic", "fitted", "mixed", "landed", "gauged"
 GAUGE_SD = 0.05  # of what a gauge says, relative
 GUSTY = Power()
 CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
@@ -67,7 +68,8 @@ MIXED_AGES = (
     (0.99, 0.90, 26.0, 310.0, 0.1),
     (0.92, 1.40, 21.0, 290.0, 0.2),
 )
-FLOWN_BY = {FITTED: HEALTHY, MIXED: MIXED_AGES}
+FLOWN_BY = {FITTED: HEALTHY, MIXED: MIXED_AGES, LANDED: MIXED_AGES}
+LANDS_AT = (0.33, 0.21, 0.26, 0.3, 0.23)  # charge at which these crews land, one after the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +156,9 @@ def by_turns(each: int) -> list[Case]:
     return found
 
 
-def mixed(each: int) -> list[Case]:
-    """Return the flights of `sampled` with a true current for a battery that was fitted to packs of mixed age."""
-    return [replace(case, name=case.name.replace(FITTED, MIXED), battery=MIXED) for case in metered(each, FITTED)]
+def of_fleet(each: int, battery: str) -> list[Case]:
+    """Return the flights of `sampled` with a true current for a battery of a fleet: MIXED or LANDED."""
+    return [replace(case, name=case.name.replace(FITTED, battery), battery=battery) for case in metered(each, FITTED)]
 
 
 def gauged(each: int) -> list[Case]:
@@ -201,10 +203,12 @@ def _drawn(
 
 
 def fitted(make: Make, battery: str) -> BatteryFile:
-    """Fit a battery to flights of a make's packs: healthy ones for FITTED, of every age for MIXED."""
+    """Fit a battery to flights of a make's packs, to the cut-off or, for LANDED, until their crews landed."""
     flights = [
         flight(Pack(FULL_AH * share, 1.0, FULL_AH, ohms, make, CELLS, air_C), Power(level_W, climb=climb), seed=100 + k)
         for k, (share, ohms, air_C, level_W, climb) in enumerate(FLOWN_BY[battery])
     ]
+    if battery == LANDED:
+        flights = [flown.until(LANDS_AT[k % len(LANDS_AT)]) for k, flown in enumerate(flights)]
     logs = [flown.flight(f"{make.name} {k}") for k, flown in enumerate(flights)]
     return fit_battery(RecordedPack(f"{make.name}, {battery}", CELLS, FULL_AH, CUTOFF_V), [], logs).file

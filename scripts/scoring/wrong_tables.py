@@ -11,7 +11,7 @@ import numpy as np
 
 from scoring.other_pack import FULL_AH
 from scoring.table import DASH, Table, figure, share
-from scoring.wrong_cases import FITTED, GAUGED, GENERIC, MIXED
+from scoring.wrong_cases import FITTED, GAUGED, GENERIC, LANDED, MIXED
 from scoring.wrong_judged import Judged, Said
 from scoring.wrong_live import Heard
 
@@ -45,7 +45,7 @@ def groups(every: Sequence[Judged]) -> Table:
     )  # fmt: skip
     drawn = [j for j in every if j.case.capacity_class != "issue"]
     rows = [_group(", ".join(name), list(some)) for name, some in groupby(drawn, key=lambda j: j.case.group)]
-    for battery in (GENERIC, FITTED, MIXED, GAUGED):
+    for battery in (GENERIC, FITTED, MIXED, LANDED, GAUGED):
         if metered := [j for j in drawn if _is_metered(j, battery)]:
             rows.append(_group(f"{battery}, true current, all", metered))
     note = (

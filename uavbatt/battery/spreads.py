@@ -27,6 +27,8 @@ SERVICE_RESISTANCE_SD = 0.15  # contacts and leads of a pack in service; what ag
 # A file that was fitted to so many flights, of packs whose resistances differ so much, was fitted to packs in service:
 # their scatter is measured, and only half of the reaction remains beside it.
 FLEET_FLIGHTS, FLEET_RESISTANCE_SD, FLEET_REACTION_SD_V = 8, 0.12, 0.025
+DOUBT_LENGTH = 1.0  # over a change of the charge by this, an error of the OCV that depends on it becomes another one
+SEEN_V = 0.06  # a larger standard error of the OCV is that of a charge which no record reached
 EMPTY_CELL_V = 3.3  # open-circuit voltage of an emptied LiPo cell; a slow discharge ends there
 
 # Voltage and current of a row are not read at the same instant: the error grows with the change of the current since
@@ -113,6 +115,7 @@ def spread_of(file: BatteryFile) -> Spread:
     make = UNKNOWN_MAKE if file.status == "generic" else TESTED_MAKE
     resistance_scale_sd, reaction_sd_V = _resistance_spread(file, make)
     ocv_sd_V = _ocv_sd_V(file)
+    drift_sd_V = _ocv_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0))
     return Spread(
         resistance_scale_sd=resistance_scale_sd,
         capacity_scale_sd=file.parameters.capacity_scale_sd * WIDENING[file.status],
@@ -121,7 +124,8 @@ def spread_of(file: BatteryFile) -> Spread:
         bias_tau_s=max(file.discrepancy.voltage_autocorrelation_s, make.bias_tau_s),
         reaction_sd_V=reaction_sd_V,
         ocv_sd_V=ocv_sd_V,
-        ocv_drift_sd_V=_ocv_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
+        # No record lies behind a generic file: its errors are those between makes.
+        ocv_drift_sd_V=drift_sd_V if file.status == "generic" else _met_when_sinking(drift_sd_V),
         temperature_sd_K=max(file.discrepancy.temperature_rmse_K, 0.2),
         drop_share=make.drop_share,
         lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
@@ -168,6 +172,16 @@ def _ocv_drift_sd_V(stated_V: Array, alone_share: float) -> Array:
     """Return the part of the OCV's standard error [V] that differs between charges; at least `alone_share` of it."""
     alike_V2 = np.median(stated_V) ** 2
     return np.asarray(np.sqrt(np.maximum(stated_V**2 - alike_V2, (alone_share * stated_V) ** 2)))
+
+
+def _met_when_sinking(drift_sd_V: Array) -> Array:
+    """Return the same with the growth of the error towards a charge that no record reached.
+
+    A pack that sinks there must have gained the error that is stated for it, however fast it came.
+    """
+    unseen_V2 = np.maximum(drift_sd_V**2 - SEEN_V**2, 0.0)
+    growth_V2 = np.maximum(-np.gradient(unseen_V2, SOC_GRID), 0.0)
+    return np.asarray(np.sqrt(drift_sd_V**2 + 0.5 * DOUBT_LENGTH * growth_V2))
 
 
 def _lag_share(file: BatteryFile, quantity: str) -> float:

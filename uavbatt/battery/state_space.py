@@ -25,6 +25,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.pack import Installation, c_rate, compensated_voltage, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
+from uavbatt.battery.spreads import DOUBT_LENGTH
 
 
 class StateIndex(NamedTuple):
@@ -46,7 +47,6 @@ class StateIndex(NamedTuple):
 
 X = StateIndex()
 SIZE = len(X)
-DOUBT_LENGTH = 1.0  # as a share of the charge
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,9 @@ from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Slot
 
+FLEET_SHORT_SD = 0.08  # of what the packs of a fleet hold, as a share of what is stated: a season takes 0.10 to 0.25
+LEAST_SOC = 0.01  # flights go down to this charge or below: nothing is left to be seen
+
 
 def rounded(value: float, digits: int = 6) -> float:
     """Return a value rounded to so many significant digits."""
@@ -45,6 +48,20 @@ def parameter_table(
         spread_flights=spread_flights,
         standard_error={k: rounded(v) for k, v in standard_error.items()},
     )
+
+
+def unseen_ocv_errors(
+    slots: tuple[Slot, ...], x: Array, standard_error: dict[str, float], lowest_soc: float
+) -> dict[str, float]:
+    """Return the standard errors [V] of the OCV's knots below the lowest charge that flights reached, by their names.
+
+    There the curve is that of a pack that holds what is stated. If the packs hold less, they are empty sooner, and
+    nothing in the flights shows it.
+    """
+    ocv_V, _ = prior.knots(slots, x)
+    lower_V = FLEET_SHORT_SD * (1.0 - prior.OCV_SOC / max(lowest_soc, LEAST_SOC)) * np.gradient(ocv_V, prior.OCV_SOC)
+    unseen = [(f"ocv_{soc:g}", by_V) for soc, by_V in zip(prior.OCV_SOC, lower_V, strict=True) if by_V > 0.0]
+    return {name: float(np.hypot(standard_error[name], by_V)) for name, by_V in unseen}
 
 
 def effect_entries(

@@ -99,6 +99,8 @@ def _file(
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
     error = fit.standard_errors
+    if not records.bench:
+        error |= assemble.unseen_ocv_errors(fit.slots, fit.x, error, _lowest_soc(records.stack, fit))
     cutoff_V = _first([size.cutoff_V, assemble.rounded(fit.chemistry.cutoff_V * size.cells)])
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
@@ -125,6 +127,12 @@ def _file(
             statistics=_range_C(records.stack),
         ),
     )
+
+
+def _lowest_soc(stack: Stack, fit: CellFit) -> float:
+    """Return the lowest charge that a record reached, of the stated capacity."""
+    discharged_share = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
+    return float(np.min(fit.own[:, 0] - discharged_share))
 
 
 def _discrepancy(records: FittedRecords, fit: CellFit, cells: int) -> Discrepancy:
@@ -276,9 +284,7 @@ def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
             lines.append(f"no cold data: nothing below {span[0]:.0f} °C")
         if span[1] < WARM_C:
             lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
-    discharged_share = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
-    lowest = float(np.min(fit.own[:, 0] - discharged_share))
-    if lowest > DEEP_SOC:
+    if (lowest := _lowest_soc(stack, fit)) > DEEP_SOC:
         lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
     if not records.bench:
         lines.append("flights alone cannot tell capacity from state of charge: the stated capacity stands")
