@@ -285,7 +285,10 @@ def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
         if span[1] < WARM_C:
             lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
     if (lowest := _lowest_soc(stack, fit)) > DEEP_SOC:
-        lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
+        lines.append(
+            f"no deep discharge: nothing below a charge of {lowest:.2f} "
+            "(a flight down to the cut-off makes the last minutes surer)"
+        )
     if not records.bench:
         lines.append("flights alone cannot tell capacity from state of charge: the stated capacity stands")
     if not stack.rested.any():
