@@ -32,21 +32,20 @@ def gained_V(errors_V: dict[str, float], from_soc: float, to_soc: float) -> floa
     return float(np.sqrt(variance_V2(errors_V) - variance_V2(USUAL_V)))
 
 
-@pytest.mark.parametrize("soc", [0.01, 0.02, 0.05])
+@pytest.mark.parametrize("soc", [0.05, 0.075, 0.1])
 def test_a_pack_that_sinks_there_has_gained_the_error_that_is_stated(soc: float) -> None:
-    errors_V = USUAL_V | assemble.unseen_ocv_errors(SLOTS, X, USUAL_V, 0.25)
+    _, errors_V = assemble.with_unseen_ocv(SLOTS, X, USUAL_V, 0.25)
     stated_V = float(np.interp(soc, prior.OCV_SOC, [errors_V[name] for name in USUAL_V]))
     assert stated_V > SEEN_V
     assert 0.8 * stated_V < gained_V(errors_V, 0.3, soc) < 1.25 * stated_V
 
 
-def test_the_curve_is_doubted_below_the_charge_that_flights_reached_alone() -> None:
-    found_V = assemble.unseen_ocv_errors(SLOTS, X, USUAL_V, 0.2)
-    assert set(found_V) == {"ocv_0", "ocv_0.02", "ocv_0.05", "ocv_0.1", "ocv_0.15"}
-    assert all(found_V[name] > USUAL_V[name] for name in found_V)
-    assert found_V["ocv_0.05"] > 10.0 * found_V["ocv_0.15"]
-
-
-@pytest.mark.parametrize("lowest_soc", [0.0, -0.05])
-def test_flights_that_emptied_the_pack_doubt_no_more_than_its_last_point(lowest_soc: float) -> None:
-    assert set(assemble.unseen_ocv_errors(SLOTS, X, USUAL_V, lowest_soc)) == {"ocv_0"}
+def test_the_curve_falls_sooner_and_is_doubted_below_the_charge_that_flights_reached_alone() -> None:
+    x, errors_V = assemble.with_unseen_ocv(SLOTS, X, USUAL_V, 0.2)
+    (ocv_V, _), (usual_V, _) = prior.knots(SLOTS, x), prior.knots(SLOTS, X)
+    unseen = prior.OCV_SOC < 0.2
+    assert (ocv_V[unseen] < usual_V[unseen]).all() and (np.diff(ocv_V) > 0.0).all()
+    assert ocv_V[~unseen].tolist() == usual_V[~unseen].tolist()
+    assert [errors_V[name] > USUAL_V[name] for name in USUAL_V] == unseen.tolist()
+    assert errors_V["ocv_0.05"] > 10.0 * errors_V["ocv_0.15"]
+    assert x[len(prior.OCV_SOC) :].tolist() == X[len(prior.OCV_SOC) :].tolist()

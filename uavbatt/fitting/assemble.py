@@ -6,14 +6,15 @@ import numpy as np
 
 from uavbatt.battery.battery_file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.model import Array
+from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory
+from uavbatt.battery.tables import dense
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Slot
 
-FLEET_SHORT_SD = 0.08  # of what the packs of a fleet hold, as a share of what is stated: a season takes 0.10 to 0.25
-LEAST_SOC = 0.01  # flights go down to this charge or below: nothing is left to be seen
+# How much less than stated the packs of a fleet hold, and its sd, as shares of it: a season takes 0.10 to 0.25.
+FLEET_SHORT, FLEET_SHORT_SD = 0.03, 0.08
 
 
 def rounded(value: float, digits: int = 6) -> float:
@@ -50,18 +51,27 @@ def parameter_table(
     )
 
 
-def unseen_ocv_errors(
+def with_unseen_ocv(
     slots: tuple[Slot, ...], x: Array, standard_error: dict[str, float], lowest_soc: float
-) -> dict[str, float]:
-    """Return the standard errors [V] of the OCV's knots below the lowest charge that flights reached, by their names.
+) -> tuple[Array, dict[str, float]]:
+    """Return the values of the slots and their standard errors, with the OCV below the charge that flights reached.
 
-    There the curve is that of a pack that holds what is stated. If the packs hold less, they are empty sooner, and
-    nothing in the flights shows it.
+    There the fitted curve is that of a pack that holds what is stated. Nothing in the flights shows what their packs
+    hold; packs in service hold less (FLEET_SHORT) and are empty sooner. The error is half of what the voltage loses at
+    twice FLEET_SHORT_SD: the curve bends, so that a knee which comes sooner costs more than the slope above it tells.
     """
-    ocv_V, _ = prior.knots(slots, x)
-    lower_V = FLEET_SHORT_SD * (1.0 - prior.OCV_SOC / max(lowest_soc, LEAST_SOC)) * np.gradient(ocv_V, prior.OCV_SOC)
-    unseen = [(f"ocv_{soc:g}", by_V) for soc, by_V in zip(prior.OCV_SOC, lower_V, strict=True) if by_V > 0.0]
-    return {name: float(np.hypot(standard_error[name], by_V)) for name, by_V in unseen}
+    first = prior.places(slots)[f"ocv_{prior.OCV_SOC[0]:g}"]
+    knots = slice(first, first + prior.OCV_SOC.size)
+    unseen, table = np.maximum(1.0 - prior.OCV_SOC / lowest_soc, 0.0), dense(prior.OCV_SOC, x[knots])
+
+    def of_smaller(short: float) -> Array:
+        return np.interp(prior.OCV_SOC - short * unseen, SOC_GRID, table)
+
+    lowered, errors = x.copy(), dict(standard_error)
+    lowered[knots] = of_smaller(FLEET_SHORT)
+    for soc, lost_V in zip(prior.OCV_SOC, x[knots] - of_smaller(2.0 * FLEET_SHORT_SD), strict=True):
+        errors[f"ocv_{soc:g}"] = float(np.hypot(errors[f"ocv_{soc:g}"], 0.5 * lost_V))
+    return lowered, errors
 
 
 def effect_entries(

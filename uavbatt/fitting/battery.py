@@ -98,9 +98,9 @@ def _file(
     size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
-    error = fit.standard_errors
-    if not records.bench:
-        error |= assemble.unseen_ocv_errors(fit.slots, fit.x, error, _lowest_soc(records.stack, fit))
+    x, error = fit.x, fit.standard_errors
+    if not records.bench and (lowest := _lowest_soc(records.stack, fit)) > DEEP_SOC:
+        x, error = assemble.with_unseen_ocv(fit.slots, x, error, lowest)
     cutoff_V = _first([size.cutoff_V, assemble.rounded(fit.chemistry.cutoff_V * size.cells)])
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
@@ -115,11 +115,11 @@ def _file(
             remarks=remarks,
         ),
         parameters=assemble.parameter_table(
-            *(fit.slots, fit.x, error, max(spread, MAKE_RESISTANCE_SD)),
+            *(fit.slots, x, error, max(spread, MAKE_RESISTANCE_SD)),
             MAKE_CAPACITY_SD if records.bench else FLEET_CAPACITY_SD,
             spread_flights=records.flights if records.has_spread else None,
         ),
-        effects=assemble.effect_entries(fit.slots, fit.x, error, fit.effects),
+        effects=assemble.effect_entries(fit.slots, x, error, fit.effects),
         discrepancy=_discrepancy(records, fit, size.cells),
         certificate=Certificate(
             status="fitted",

@@ -38,6 +38,7 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: dropouts and glid
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
+TAIL_S, LANDING_SHARE = 120.0, 0.95
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
 ALIKE_BLOCKS, BLOCK_SD = 20, 0.18
@@ -169,14 +170,14 @@ def _real_share(away: float, usual: float) -> float:
 def learned_load(file: VehicleFile) -> LearnedLoad:
     """Return the flights of a vehicle file on one time grid, each flown on after its landing as other flights were."""
     grid_s = np.arange(0.0, LENGTH_S, GRID_S)
-    raw = [(np.array(t.time_s), np.array(t.power_W), np.minimum.accumulate(np.array(t.soc))) for t in file.traces]
+    raw = [_before_landing(*np.array([t.time_s, t.power_W, t.soc])) for t in file.traces]
     power_W, soc = np.empty((len(raw), grid_s.size)), np.empty((len(raw), grid_s.size))
     order = np.random.default_rng(len(raw)).permutation(len(raw))
     for i, (time_s, watts, charge) in enumerate(raw):
         for joined in range(1, STITCHES + 1):
             other = raw[int(order[(i + joined) % len(raw)])]
             time_s, watts, charge = _stitched(time_s, watts, charge, *other)
-        tail_W = float(np.mean(watts[time_s >= time_s[-1] - 120.0]))
+        tail_W = max(float(np.mean(watts[time_s >= time_s[-1] - TAIL_S])), float(np.mean(watts)))
         power_W[i] = np.interp(grid_s, time_s, watts, right=tail_W)
         soc[i] = np.interp(grid_s, time_s, charge)
         soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
@@ -184,6 +185,16 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
     drawn_J = GRID_S * np.cumsum(np.insert(power_W, 0, 0.0, axis=1), axis=1)
     landed_s = np.array([t.time_s[-1] for t in file.traces])
     return LearnedLoad(power_W, soc, landed_s, mean_W, drawn_J, file.powers or UNKNOWN, file.usual)
+
+
+def _before_landing(time_s: Array, watts: Array, charge: Array) -> tuple[Array, Array, Array]:
+    """Return a past flight, with falling charge, up to its landing: at most TAIL_S of less power than it usually needed.
+
+    A crew lands with charge left. A flight that goes on does not sink there, nor need less power from then on.
+    """
+    flown = (watts >= LANDING_SHARE * np.mean(watts)) | (time_s < time_s[-1] - TAIL_S)
+    end = int(np.flatnonzero(flown)[-1]) + 1
+    return time_s[:end], watts[:end], np.minimum.accumulate(charge[:end])
 
 
 def _stitched(
