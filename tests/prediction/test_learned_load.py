@@ -49,6 +49,22 @@ def middle_W(scenarios: Scenarios) -> np.ndarray:  # type: ignore[type-arg]
     return scenarios.power_W.reshape(scenarios.power_W.shape[0], -1, 3)[:, :, 1]
 
 
+# --- a flight that goes on ---------------------------------------------------------------------------------------
+
+
+def test_a_flight_that_goes_on_does_not_land_where_past_ones_did() -> None:
+    """Crews land with charge left: from there on, a sixth less power was expected."""
+    landed = [past([300.0] * 60 + [240.0] * 6, end_soc=0.3), past([310.0] * 50 + [250.0] * 6, end_soc=0.4)]
+    for since_s, soc in ((400.0, 0.55), (590.0, 0.32)):
+        made = middle_W(library(*landed).scenarios(now(since_s, soc, 305.0), STEP_S, 120))
+        assert made.min() > 290.0
+
+
+def test_a_flight_that_goes_on_climbs_home_as_past_ones_did() -> None:
+    made = library(past([300.0] * 60 + [420.0] * 6)).scenarios(now(590.0, 0.2), STEP_S, 12)
+    assert middle_W(made)[4, 0] == pytest.approx(420.0, rel=0.05)
+
+
 # --- from where the flight stands --------------------------------------------------------------------------------
 
 

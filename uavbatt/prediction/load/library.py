@@ -4,8 +4,9 @@ With a vehicle file: each past flight is used from the point that corresponds to
 take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
 flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
 has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 43, 40,
-34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
-landing a past flight goes on as another past flight did from that charge.
+34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. A past
+flight counts without its landing, because the time left is that of a flight that goes on. From then on it goes on as
+another past flight did from that charge.
 
 A change of the power in flight, against all past flights, counts by what has been flown since (`power_change`).
 
@@ -38,7 +39,8 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: dropouts and glid
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
-TAIL_S, LANDING_SHARE = 120.0, 0.95
+TAIL_S = 120.0  # the end of a past flight: its last minutes
+LANDING_SHARE = 0.95  # of the mean power: there a flight with less is landing
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
 ALIKE_BLOCKS, BLOCK_SD = 20, 0.18
@@ -188,9 +190,9 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
 
 
 def _before_landing(time_s: Array, watts: Array, charge: Array) -> tuple[Array, Array, Array]:
-    """Return a past flight, with falling charge, up to its landing: at most TAIL_S of less power than it usually needed.
+    """Return a past flight, with falling charge, up to its landing: at most TAIL_S of less power than usual.
 
-    A crew lands with charge left. A flight that goes on does not sink there, nor need less power from then on.
+    Crews land with charge left. A flight that goes on does not sink there.
     """
     flown = (watts >= LANDING_SHARE * np.mean(watts)) | (time_s < time_s[-1] - TAIL_S)
     end = int(np.flatnonzero(flown)[-1]) + 1
