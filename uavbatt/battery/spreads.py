@@ -175,9 +175,9 @@ def _ocv_drift_sd_V(stated_V: Array, alone_share: float) -> Array:
 
 
 def _met_when_sinking(drift_sd_V: Array) -> Array:
-    """Return the same with the growth of the error towards a charge that no record reached.
+    """Return the error that differs between charges [V] with its growth towards a charge that no record reached.
 
-    A pack that sinks there must have gained the error that is stated for it, however fast it came.
+    A pack that has sunk to such a charge must have gained the whole error that is stated there, however fast it sank.
     """
     unseen_V2 = np.maximum(drift_sd_V**2 - SEEN_V**2, 0.0)
     growth_V2 = np.maximum(-np.gradient(unseen_V2, SOC_GRID), 0.0)

@@ -40,7 +40,7 @@ MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is 
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
 TAIL_S = 120.0  # the end of a past flight: its last minutes
-LANDING_SHARE = 0.95  # of the mean power: there a flight with less is landing
+LANDING_SHARE = 0.95  # of the mean power: a flight whose end needs less is landing
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
 ALIKE_BLOCKS, BLOCK_SD = 20, 0.18
