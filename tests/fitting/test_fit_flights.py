@@ -134,6 +134,15 @@ def test_what_is_not_told_stands_in_the_file() -> None:
     assert all("±" in line for line in lines) and any(line.startswith("activation_K") for line in lines)
 
 
+def test_what_is_said_of_the_curve_is_what_the_file_holds() -> None:
+    """Below the charge that flights reached, the file is less sure than the fit."""
+    made = fitted("half used")
+    table = made.file.parameters
+    for soc, volts in zip(table.ocv_soc, table.ocv_V, strict=True):
+        name = f"ocv_{soc:g}"
+        assert f"{name} = {volts:.4g} ± {table.standard_error[name]:.2g}" in made.known
+
+
 NMC_V = (2.0, 2.6, 2.78, 2.98, 3.13, 3.26, 3.36, 3.43, 3.53, 3.61, 3.69, 3.78, 3.89, 3.985, 4.06, 4.10, 4.18)
 LFP_V = (2.0, 2.3, 2.6, 2.85, 3.0, 3.1, 3.17, 3.2, 3.24, 3.26, 3.27, 3.28, 3.29, 3.31, 3.32, 3.33, 3.5)
 

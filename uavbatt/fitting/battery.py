@@ -11,6 +11,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.battery.equations import SECONDS_PER_HOUR
+from uavbatt.battery.model import Array
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW, Discrepancy
 from uavbatt.battery.sizing.log_statements import first_voltages
 from uavbatt.battery.sizing.pack_size import PackSize
@@ -90,7 +91,7 @@ def fit_battery(size: RecordedPack, datasets: list[DataSet], flights: list[Fligh
     fit = _solve(records)
     doubtful = (*(f"{words}: left out" for words in unread), *later, *fuller, *_doubtful(fit))
     unknown = _unknown_words(fit, records)
-    known = (*_known_words(fit), *(_pack_words(fit) if records.has_spread else ()))
+    known = (*_known_words(fit, *_found(records, fit)), *(_pack_words(fit) if records.has_spread else ()))
     return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)
 
 
@@ -98,9 +99,7 @@ def _file(
     size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
 ) -> BatteryFile:
     """Return the battery file of a fit, with these remarks."""
-    x, error = fit.x, fit.standard_errors
-    if not records.bench and (lowest := _lowest_soc(records.stack, fit)) > DEEP_SOC:
-        x, error = assemble.with_unseen_ocv(fit.slots, x, error, lowest)
+    x, error = _found(records, fit)
     cutoff_V = _first([size.cutoff_V, assemble.rounded(fit.chemistry.cutoff_V * size.cells)])
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
@@ -127,6 +126,13 @@ def _file(
             statistics=_range_C(records.stack),
         ),
     )
+
+
+def _found(records: FittedRecords, fit: CellFit) -> tuple[Array, dict[str, float]]:
+    """Return the values of the slots and their standard errors, as the battery file states them."""
+    if not records.bench and (lowest := _lowest_soc(records.stack, fit)) > DEEP_SOC:
+        return assemble.with_unseen_ocv(fit.slots, fit.x, fit.standard_errors, lowest)
+    return fit.x, fit.standard_errors
 
 
 def _lowest_soc(stack: Stack, fit: CellFit) -> float:
@@ -231,13 +237,10 @@ def _first(values: list[float]) -> float:
     return next((v for v in values if np.isfinite(v)), float("nan"))
 
 
-def _known_words(fit: CellFit) -> tuple[str, ...]:
+def _known_words(fit: CellFit, x: Array, standard_error: dict[str, float]) -> tuple[str, ...]:
     """Return each parameter with its standard error, in words."""
-    lines = []
-    for i, slot in enumerate(fit.slots):
-        value, sd = float(fit.x[i]), fit.standard_error(slot.name)
-        lines.append(f"{slot.name} = {value:.4g} ± {sd:.2g}")
-    return tuple(lines)
+    pairs = zip(fit.slots, x, strict=True)
+    return tuple(f"{slot.name} = {float(value):.4g} ± {standard_error[slot.name]:.2g}" for slot, value in pairs)
 
 
 def _pack_words(fit: CellFit) -> tuple[str, ...]:
