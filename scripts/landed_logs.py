@@ -21,20 +21,7 @@ from multiprocessing import Pool
 import numpy as np
 from peers.columns import FloatArray
 from scoring.lines import logged, ours, replayed
-from scoring.other_pack import (
-    CELLS,
-    CUTOFF_V,
-    FULL_AH,
-    IDLE_W,
-    MAKES,
-    ORDINARY,
-    Make,
-    Pack,
-    Power,
-    drawn,
-    flight,
-    read,
-)  # fmt: skip
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, IDLE_W, MAKES, ORDINARY, Make, Pack, Power, drawn, flight, read
 from scoring.wrong_cases import LANDS_AT, MIXED_AGES
 
 from uavbatt.battery.battery_file import BatteryFile

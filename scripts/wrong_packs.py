@@ -55,7 +55,7 @@ def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
     faults: list[wrong_live.Heard] = []
     each = EACH_QUICK if is_quick else EACH
     cases = wrong_cases.every(each) if "estimator" in sections else []
-    for fleet in (wrong_cases.MIXED, wrong_cases.LANDED):
+    for fleet in wrong_cases.FLEETS:
         cases += wrong_cases.of_fleet(each, fleet) if fleet in sections else []
     cases += wrong_cases.gauged(each) if "gauged" in sections else []
     if cases:
@@ -81,7 +81,7 @@ def _one(name: str) -> int:
     """Return the lines of one flight through the estimator, by its name in the tables."""
     from scoring import wrong_cases, wrong_judged
 
-    fleets = [c for fleet in (wrong_cases.MIXED, wrong_cases.LANDED) for c in wrong_cases.of_fleet(EACH, fleet)]
+    fleets = [c for fleet in wrong_cases.FLEETS for c in wrong_cases.of_fleet(EACH, fleet)]
     cases = {case.name: case for case in wrong_cases.every(EACH) + fleets + wrong_cases.gauged(EACH)}
     if name not in cases:
         print(f"wrong_packs: --flight {name}: expected one of {', '.join(cases)}", file=sys.stderr)

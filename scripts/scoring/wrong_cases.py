@@ -2,8 +2,8 @@
 
 A generic battery meets any make at 0.4 to 2.5 times its ohms; a fitted one meets packs of the make that it was fitted
 to, healthy ones and worn ones, at 0.85 to 1.9 times the make's. A mixed one was fitted to packs of every age, a landed
-one to the same flights if their crews land with a fifth to a third of the charge. A gauged
-one is a generic battery of a smart pack, whose gauge says what it holds today.
+one to the same flights if their crews land with a fifth to a third of the charge. A gauged one is a generic battery of
+a smart pack, whose gauge says what it holds today.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.battery import RecordedPack, fit_battery
 
 GENERIC, FITTED, MIXED, LANDED, GAUGED = "generic", "fitted", "mixed", "landed", "gauged"
+FLEETS = (MIXED, LANDED)
 GAUGE_SD = 0.05  # of what a gauge says, relative
 GUSTY = Power()
 CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
@@ -157,7 +158,7 @@ def by_turns(each: int) -> list[Case]:
 
 
 def of_fleet(each: int, battery: str) -> list[Case]:
-    """Return the flights of `sampled` with a true current for a battery of a fleet: MIXED or LANDED."""
+    """Return the flights of `sampled` with a true current for a battery of FLEETS."""
     return [replace(case, name=case.name.replace(FITTED, battery), battery=battery) for case in metered(each, FITTED)]
 
 

@@ -8,7 +8,7 @@ from scoring.other_pack import FLAT
 
 
 def test_nobody_has_measured_the_capacity_of_such_packs() -> None:
-    """The curve below the last charge of the flights is that of packs that hold what is stated: it may be far off."""
+    """Below the last charge of the flights only what packs usually lack tells the curve: it may be far off."""
     file = wrong_cases.fitted(FLAT, wrong_cases.LANDED)
     error_V = file.parameters.standard_error
     assert any("no deep discharge: nothing below a charge of 0.2" in words for words in file.battery.remarks)

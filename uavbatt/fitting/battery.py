@@ -90,16 +90,24 @@ def fit_battery(size: RecordedPack, datasets: list[DataSet], flights: list[Fligh
     records = FittedRecords(observed.stack(bench + flown), len(bench), len(flown))
     fit = _solve(records)
     doubtful = (*(f"{words}: left out" for words in unread), *later, *fuller, *_doubtful(fit))
-    unknown = _unknown_words(fit, records)
-    known = (*_known_words(fit, *_found(records, fit)), *(_pack_words(fit) if records.has_spread else ()))
-    return FittedBattery(_file(size, datasets, records, fit, [*doubtful, *unknown]), known, unknown, doubtful)
+    lowest_soc, found = _lowest_soc(records.stack, fit), (fit.x, fit.standard_errors)
+    if not records.bench and lowest_soc > DEEP_SOC:
+        found = assemble.with_unseen_ocv(fit.slots, *found, lowest_soc)
+    unknown = _unknown_words(fit, records, lowest_soc)
+    known = (*_known_words(fit, *found), *(_pack_words(fit) if records.has_spread else ()))
+    return FittedBattery(_file(size, datasets, records, fit, found, [*doubtful, *unknown]), known, unknown, doubtful)
 
 
 def _file(
-    size: RecordedPack, datasets: list[DataSet], records: FittedRecords, fit: CellFit, remarks: list[str]
+    size: RecordedPack,
+    datasets: list[DataSet],
+    records: FittedRecords,
+    fit: CellFit,
+    found: tuple[Array, dict[str, float]],
+    remarks: list[str],
 ) -> BatteryFile:
-    """Return the battery file of a fit, with these remarks."""
-    x, error = _found(records, fit)
+    """Return the battery file of a fit, with the values and standard errors `found` of its slots and these remarks."""
+    x, error = found
     cutoff_V = _first([size.cutoff_V, assemble.rounded(fit.chemistry.cutoff_V * size.cells)])
     spread = float(np.std(fit.own[:, 1])) if records.has_spread else 0.0
     return BatteryFile(
@@ -126,13 +134,6 @@ def _file(
             statistics=_range_C(records.stack),
         ),
     )
-
-
-def _found(records: FittedRecords, fit: CellFit) -> tuple[Array, dict[str, float]]:
-    """Return the values of the slots and their standard errors, as the battery file states them."""
-    if not records.bench and (lowest := _lowest_soc(records.stack, fit)) > DEEP_SOC:
-        return assemble.with_unseen_ocv(fit.slots, fit.x, fit.standard_errors, lowest)
-    return fit.x, fit.standard_errors
 
 
 def _lowest_soc(stack: Stack, fit: CellFit) -> float:
@@ -270,7 +271,7 @@ def _doubtful(fit: CellFit) -> tuple[str, ...]:
     return (f"{', '.join(far)} lie far from those of {fit.chemistry.name} cells: {why}",) if far else ()
 
 
-def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
+def _unknown_words(fit: CellFit, records: FittedRecords, lowest_soc: float) -> tuple[str, ...]:
     """Return in words which quantities the records do not determine."""
     stack = records.stack
     told_nothing = [
@@ -287,9 +288,9 @@ def _unknown_words(fit: CellFit, records: FittedRecords) -> tuple[str, ...]:
             lines.append(f"no cold data: nothing below {span[0]:.0f} °C")
         if span[1] < WARM_C:
             lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
-    if (lowest := _lowest_soc(stack, fit)) > DEEP_SOC:
+    if lowest_soc > DEEP_SOC:
         lines.append(
-            f"no deep discharge: nothing below a charge of {lowest:.2f} "
+            f"no deep discharge: nothing below a charge of {lowest_soc:.2f} "
             "(a flight down to the cut-off makes the last minutes surer)"
         )
     if not records.bench:

@@ -11,4 +11,5 @@ LEAST = 1e-6  # a smaller difference is a rounding error of ours
 def last_digit(readings: NDArray[np.float64]) -> float:
     """Return the smallest difference between two readings in turn; 0 if they are all the same."""
     steps = np.abs(np.diff(readings))
-    return float(np.min(steps, where=steps > LEAST, initial=np.inf)) if np.any(steps > LEAST) else 0.0
+    seen = steps[steps > LEAST]
+    return float(seen.min()) if seen.size else 0.0
