@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 def lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     """Return the diagnosis, and the errors before and after it, as lines of text."""
+    from uavbatt.diagnosis.words import GUESS
+
     made = [_verdict_line(found)]
     if found.may_hide:
         made.append("  if a small effect is missing nevertheless, it is most likely this one:")
@@ -20,6 +22,8 @@ def lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     made += _evidence_lines(found)
     if not found.problem.evidence.has_temperature:
         made.append("  no temperature: only clear effects are told, and none that shows only in it")
+    if found.guess_below_soc is not None:
+        made.append(f"  {GUESS.format(found.guess_below_soc)}")
     return made + _held_out_lines(closed)
 
 

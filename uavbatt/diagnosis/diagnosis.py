@@ -74,6 +74,13 @@ class Diagnosis:
         """Return True if no effect was found: then the class is the small effect that may be present unseen."""
         return self.verdict == "no_missing_effect" and bool(self.classes)
 
+    @property
+    def guess_below_soc(self) -> float | None:
+        """Return the charge below which the file's OCV is a guess, if these records go there; else None."""
+        tables = self.problem.tables
+        lowest = min(float(np.min(r.soc)) for r in self.residual_after)
+        return tables.seen_from_soc if tables is not None and lowest < tables.seen_from_soc else None
+
 
 def problem_of(
     records: list[ObservedRecord],

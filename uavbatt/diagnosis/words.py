@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+GUESS = "the battery file's voltage below a charge of {:g} is a guess: what records show there is called no effect"
 CHECK = {
     "current_gain": "compare the current sensor with a clamp meter in hover, or the consumed mAh with the charger's",
     "current_offset": "read the current with the battery connected and nothing switched on: it should be zero",

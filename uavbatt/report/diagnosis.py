@@ -20,7 +20,7 @@ from uavbatt.diagnosis.close import ClosedLoop
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.refit.residual import Residual
 from uavbatt.diagnosis.search.blocks import EvidenceBlock
-from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY, SHARES
+from uavbatt.diagnosis.words import CHECK, GUESS, MEANING, QUANTITY, SHARES
 from uavbatt.files import without_none
 from uavbatt.report import plot
 from uavbatt.report.page import (
@@ -84,6 +84,8 @@ def _notes(diagnosis: Diagnosis, old: BatteryFile) -> list[str]:
     notes = []
     if not diagnosis.problem.evidence.has_temperature:
         notes.append("No temperature was measured: only clear effects are told, and none that shows only in it.")
+    if diagnosis.guess_below_soc is not None:
+        notes.append(f"{sentence(GUESS.format(diagnosis.guess_below_soc))}.")
     if old.status == "edited":
         notes.append(f"The {old.caveat}.")
     if diagnosis.hidden:

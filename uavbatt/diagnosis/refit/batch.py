@@ -40,7 +40,8 @@ class Batch:
         shape = (len(candidates), self.size)
         self.low, self.high = np.full(shape, -1e9), np.full(shape, 1e9)
         self.moves, shared = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-        self.moves[:, self.freed :] = shared[:, self.freed :] = file_errors
+        unseen = problem.tables.unseen if problem.tables is not None else np.zeros(0, dtype=bool)
+        self.moves[:, self.freed :] = shared[:, self.freed :] = unseen | file_errors
         for i, columns in enumerate(self.columns):
             for k, f in enumerate(columns):
                 self.low[i, k], self.high[i, k] = f.bounds_u()
@@ -166,7 +167,13 @@ ALL_OF_ONE = np.ones((1, 1), dtype=bool)
 
 def at_best(problem: Problem, fit: Refit) -> Simulated:
     """Return the sensor readings that the refit's values predict (one variant)."""
-    return Batch(problem, [fit.candidate]).simulated(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
+    simulated = Batch(problem, [fit.candidate]).simulated(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
+    if problem.tables is None:
+        return simulated
+    stack, soc = problem.evidence.stack, simulated.soc[:, 0]
+    change = problem.tables.voltage(problem.pack, soc, stack.current_A, problem.evidence.quick_A, stack.capacity_Ah)
+    of_tables_V = np.einsum("rjk,jk->rj", change, fit.knots)
+    return simulated._replace(voltage_V=simulated.voltage_V + of_tables_V[:, None])
 
 
 def slopes_on_file(problem: Problem, fit: Refit) -> Array:

@@ -123,7 +123,8 @@ def _best_of_scan(batch: Batch, u: Array, v: Array) -> Array:
             k = len(batch.columns[i]) - c.last
             us[:, i, :, k] = np.clip(np.array(SCAN)[:, None] + u[i, :, k], batch.low[i, k], batch.high[i, k])
     every = np.ones(us.shape[:2], dtype=bool)
-    values, _ = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0), every)
+    values, soc = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0), every)
+    values += _from_knots(batch.slopes_on_knots(soc), u[..., batch.freed :])
     best = np.argmin(np.nan_to_num(np.sum(values**2, axis=(2, 3)), nan=np.inf), axis=0)
     chosen: Array = us[best, np.arange(len(batch.candidates))]
     return chosen
@@ -149,13 +150,18 @@ def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
     values[1:][~every[1:]] = 0.0
     if nudged.size < columns.size:
         slopes = batch.slopes_on_knots(soc)
-        values[0] += np.einsum("kcrm,crk->crm", slopes, u[..., batch.freed :])
-        values = np.concatenate([values[:first_v], slopes, values[first_v:]])
+        values[0] += _from_knots(slopes, u[..., batch.freed :])
+        values = np.concatenate([values[:first_v], slopes[columns[nudged.size :] - batch.freed], values[first_v:]])
     r, moved = values[0], u[..., columns]
     stiffness = np.repeat(batch.stiffness[:, None, columns], batch.records, axis=1)
     chi2 = np.sum(r**2, axis=-1) + np.sum(v**2, axis=-1) + np.sum(stiffness * moved**2, axis=-1)
     slopes = np.moveaxis(values, 0, 2)
     return _Linearised(r, chi2, slopes @ np.swapaxes(slopes, -1, -2), -stiffness * moved, stiffness)
+
+
+def _from_knots(slopes: Array, knots: Array) -> Array:
+    """Return the change of the residuals [C, R, M] by the errors of the file's tables, [C, R, knots]."""
+    return np.asarray(np.einsum("kcrm,crk->crm", slopes, knots))
 
 
 def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array]:
