@@ -113,7 +113,7 @@ def diagnosis(folder: Path) -> str:
 
     values = {"fade": Interval(0.13, 0.11, 0.16, "1"), "harness_ohm": Interval(0.012, 0.008, 0.016, "ohm")}
     blocks = tuple(EvidenceBlock(name, 90, saved) for name, saved in (("take-off", 40.0), ("last third", -3.0)))
-    measured = SimpleNamespace(evidence=SimpleNamespace(has_temperature=False))
+    measured = SimpleNamespace(evidence=SimpleNamespace(has_temperature=False), tables=None)
     unused: Any = None
     found = Diagnosis(
         "effect_found", (EffectClass(("capacity_fade", "harness_resistance"), 0.8, values, "a bench test"),),

@@ -27,7 +27,7 @@ def words(*classes: EffectClass) -> str:
     file = battery_file.read_battery("lipo-generic")
     still = np.zeros(20)
     residuals = [Residual("a.BIN", np.arange(20.0), still, still, still, still, still, still, still > 0.0)]
-    measured: Any = SimpleNamespace(evidence=SimpleNamespace(has_temperature=True))
+    measured: Any = SimpleNamespace(evidence=SimpleNamespace(has_temperature=True), tables=None)
     unused = cast(Any, None)
     found = Diagnosis("effect_found", classes, (), measured, unused, unused, residuals, residuals, 0.02, unused)
     errors = HeldOutErrors(0.08, 0.7, 60.0, 0.9)
