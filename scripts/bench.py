@@ -1,6 +1,7 @@
 """Speed side by side with the peers, in one run: medians and ratios as a table.
 
-    python scripts/bench.py [--markdown FILE] [--only engine,cli,daemon,reading,fleet] [--flights 200] [--repeats 5]
+    python scripts/bench.py [--markdown FILE] [--only engine,cli,daemon,season,reading,fleet] [--flights 200]
+        [--repeats 5]
 
 Peers come with `pip install --group bench` (filterpy, progpy, pymavlink, pyulog); one that is not installed is named
 and left out. ProgPy may live in another interpreter: --progpy-python PATH. Our own twins need the extra `fast`.
@@ -22,11 +23,11 @@ from statistics import median
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from bench import engine, fleet, missions, readers  # found by the line above
+from bench import engine, fleet, missions, readers, season  # found by the line above
 
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
-PARTS = ("engine", "cli", "daemon", "reading", "fleet")
+PARTS = ("engine", "cli", "daemon", "season", "reading", "fleet")
 DAEMON = """
 import time
 begin = time.perf_counter()
@@ -126,6 +127,7 @@ def main() -> None:
         "engine": lambda: engine_rows(given.progpy_python),
         "cli": lambda: cli_rows(given.repeats),
         "daemon": lambda: daemon_rows(given.repeats),
+        "season": season.rows,
     }
     lines = [f"{platform.machine()}, Python {platform.python_version()}, load {os.getloadavg()[0]:.1f}", ""]
     lines += ["| what | ours | beside | ratio |", "|---|---|---|---|"]

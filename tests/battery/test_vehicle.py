@@ -23,8 +23,10 @@ from uavbatt.battery.sizing.pack_size import PackOptions
 from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
+from uavbatt.estimator import Estimator
 from uavbatt.fitting.vehicle import GRID_S, fit_vehicle, other_powers, speeds, trace
 from uavbatt.log_replay.load_options import stated_load
+from uavbatt.log_replay.run import engine_for
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load.library import LearnedLoad
 from uavbatt.records import Flight, Sample
@@ -113,6 +115,19 @@ def test_coarse_rows_teach_the_same_energy() -> None:
     assert coarse is not None and set(np.diff(coarse.time_s)) == {GRID_S}
     mean_W = np.mean([s.voltage_V * s.current_A for s in rows])
     assert np.mean(coarse.power_W) == pytest.approx(mean_W, rel=0.03)
+
+
+@pytest.mark.parametrize("is_long", [False, True])
+def test_the_charge_of_a_trace_is_that_of_the_estimates_in_flight(is_long: bool) -> None:
+    """Row by row as in flight, and many rows at once, plain or compiled: one charge."""
+    battery = battery_file.read_battery("lipo-generic")
+    estimator = Estimator(battery, OPTIONS)
+    rows = [estimator.step(sample)[0] for sample in flight().samples]
+    found = trace(flight(), battery, OPTIONS, engine_for(is_long=is_long))
+    assert found is not None
+    begins_s = next(row.time_s for row in rows if row.power_W > 0.6 * POWER_W)
+    told = np.interp(np.array(found.time_s) + begins_s, [r.time_s for r in rows], [r.soc for r in rows])
+    assert np.array(found.soc) == pytest.approx(told, abs=1e-4)
 
 
 def test_the_landing_is_not_flight() -> None:

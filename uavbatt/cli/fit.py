@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from uavbatt.fitting.battery import FittedBattery, RecordedPack
     from uavbatt.records import Flight
 
+MANY_ROWS = 20_000  # of all logs: plain numpy takes 8 s for them, compiled code 3 s and 1 s to be loaded
+
 
 def fit(
     sources: Annotated[list[Path], typer.Argument(metavar="DATASET|LOG...", help="Data-set folders and flight logs.")],
@@ -156,13 +158,15 @@ def _learned(path: Path, content: BatteryFile, flights: list[Flight], stated: Pa
     """Return the vehicle file of the flights. Raises UsageError if there are none."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import fit_vehicle, other_powers
+    from uavbatt.log_replay.run import engine_for
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
     for one in other_powers(flights):
         cause = "another aircraft, or a current sensor that reads wrong?"
         remark(f"warning: {one.source}: {one.power_W:.0f} W, the usual flight {one.usual_W:.0f} W: {cause}")
-    return fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
+    engine = engine_for(is_long=sum(len(flight.samples) for flight in flights) >= MANY_ROWS)
+    return fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated, engine)
 
 
 def _vehicle(path: Path, learned: VehicleFile, flights: int) -> str:

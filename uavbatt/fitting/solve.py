@@ -1,8 +1,7 @@
 """Maximum a posteriori fit of the cell to records with measured current.
 
 Unknowns are the cell's slots, shared by all records, and for each record its starting charge and its two scales against
-the type (resistance, capacity). A record's own unknowns change only its own rows, so that one simulation with a finite
-difference in all records at once gives the whole block of the Jacobian.
+the type (resistance, capacity).
 """
 
 from __future__ import annotations
@@ -11,21 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.battery.tables import dense
 from uavbatt.fitting import prior
+from uavbatt.fitting.arrow import robust_least_squares
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry, Posterior, Slot
 
 TEMPERATURE_SD_K = 0.6  # of a pack's thermometer and its place on the pack
 ROBUST_SCALE = 4.0  # sds beyond which a residual counts as an outlier
 START_DROP, LEAST_START = 1.5, 0.05  # a load of seconds drops 1.5 times what R0 does; no flight begins emptier
-CLOSE_ENOUGH = 1e-4  # relative change of the unknowns or of the cost at which a fit ends: far below any standard error
-NUDGE = 1e-4  # finite difference in sds of the prior
+COLUMNS = 2000  # records times variants that are simulated side by side: more take memory and save no time
 OWN = ("start_soc", "log_resistance", "log_capacity")
 
 
@@ -106,7 +104,7 @@ def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Unknowns:
-    """_Unknowns is one vector v of standard normal numbers: the shared slots' u, then three of each record."""
+    """_Unknowns turns standard normal numbers, the slots' u and three v of each record, into residuals."""
 
     stack: Stack
     slots: tuple[Slot, ...]
@@ -115,41 +113,19 @@ class _Unknowns:
     own_sd: Array
     chemistry: Chemistry
 
-    @property
-    def shared(self) -> int:
-        return len(self.slots)
+    def own(self, v: Array) -> Array:
+        """Return the records' own values for v [.., records, 3]."""
+        return self.own_mean + self.own_sd * v
 
-    def values(self, v: Array) -> tuple[Array, Array]:
-        """Return the slots' values [variants, slots] and the records' own [variants, records, 3] of v."""
-        own = v[:, self.shared :].reshape(-1, *self.own_sd.shape)
-        return prior.values(self.slots, v[:, : self.shared]), self.own_mean + self.own_sd * own
-
-    def evaluate(self, v: Array) -> tuple[Array, Array]:
-        """Return the residuals [variants, rows·2, records] of v, and the OCV shape's [variants, differences]."""
-        x, own = self.values(v)
-        trajectory = run(self.stack, self.slots, self.effects, x, own)
-        return residuals(self.stack, trajectory, v.shape[0]), prior.shape_penalty(self.slots, x, self.chemistry)
-
-    def objective(self, v: Array) -> Array:
-        misfit, shape = self.evaluate(v[None])
-        return np.concatenate([misfit[0].ravel(), shape[0], v])
-
-    def jacobian(self, v: Array) -> Array:
-        shared, records, of_one = self.shared, *self.own_sd.shape
-        nudges = np.zeros((shared + of_one, v.size))
-        nudges[:shared, :shared] = np.eye(shared) * NUDGE
-        for k in range(of_one):  # every record's k-th own unknown at once
-            nudges[shared + k, shared + k :: of_one] = NUDGE
-        misfit, shape = self.evaluate(np.vstack([v, v + nudges]))
-        slopes = (misfit[1:] - misfit[0]) / NUDGE
-        block = np.zeros((slopes.shape[1], records, v.size))
-        block[:, :, :shared] = np.moveaxis(slopes[:shared], 0, -1)
-        for r in range(records):
-            for k in range(of_one):
-                block[:, r, shared + r * of_one + k] = slopes[shared + k, :, r]
-        shape_slopes = np.zeros((shape.shape[1], v.size))
-        shape_slopes[:, :shared] = ((shape[1 : shared + 1] - shape[0]) / NUDGE).T
-        return np.vstack([block.reshape(-1, v.size), shape_slopes, np.eye(v.size)])
+    def evaluate(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Return the residuals [variants, rows·2, records] of u and v, and the OCV shape's [variants, differences]."""
+        x = prior.values(self.slots, u)
+        together = max(COLUMNS // len(self.stack.names), 1)
+        parts = [
+            residuals(self.stack, run(self.stack, self.slots, self.effects, x[some], self.own(v[some])), len(x[some]))
+            for some in (slice(k, k + together) for k in range(0, len(x), together))
+        ]
+        return np.concatenate(parts), prior.shape_penalty(self.slots, x, self.chemistry)
 
 
 def _own_prior(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior], chemistry: Chemistry) -> tuple[Array, Array]:
@@ -170,7 +146,7 @@ def fit_cell(
     evaluations: int = 40,
     chemistry: Chemistry = prior.LIPO,
 ) -> CellFit:
-    """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
+    """Find the most probable parameters and their covariance (robust beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots];
     evaluations : of the residuals, at most; chemistry : of the cells.
@@ -178,31 +154,17 @@ def fit_cell(
     slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
     own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
     unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry)
-    start = np.zeros(unknowns.shared + own_mean.size)
-    if start_u is not None:
-        start[: unknowns.shared] = start_u
-    solution = least_squares(
-        unknowns.objective,
-        start,
-        jac=unknowns.jacobian,
-        loss="soft_l1",
-        f_scale=ROBUST_SCALE,
-        max_nfev=evaluations,
-        xtol=CLOSE_ENOUGH,
-        ftol=CLOSE_ENOUGH,
-    )
-    slopes = np.asarray(solution.jac, dtype=float)
-    curvature = slopes.T @ slopes
-    shared = slice(unknowns.shared)
+    start = np.zeros(len(slots)) if start_u is None else start_u
+    best = robust_least_squares(unknowns.evaluate, start, own_mean.shape, ROBUST_SCALE, evaluations)
     return CellFit(
         slots=slots,
         effects=effects,
         chemistry=chemistry,
-        u=solution.x[shared],
-        covariance_u=np.linalg.inv(curvature)[shared, shared],
-        own=unknowns.values(solution.x[None])[1][0],
-        cost=float(solution.cost),
-        log_evidence=float(-solution.cost - 0.5 * np.linalg.slogdet(curvature)[1]),
+        u=best.u,
+        covariance_u=np.asarray(np.linalg.inv(best.information)),
+        own=unknowns.own(best.v),
+        cost=best.cost,
+        log_evidence=-best.cost - 0.5 * best.log_determinant,
     )
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
+from itertools import groupby
 from typing import NamedTuple
 
 import msgspec
@@ -15,13 +17,14 @@ from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.sizing.pack_size import PackOptions, capacity_since_s
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
+from uavbatt.engine import PLAIN, Engine
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimation.still_sensors import STILL_C_RATE
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.powers import SHORTEST_S, powers
 from uavbatt.output import counted
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import Flight
+from uavbatt.records import Estimate, Flight, Sample
 
 GRID_S = 10.0  # of a load trace: slower than the turns of an aircraft, faster than the pack's reactions
 FLYING_SHARE = 0.3  # of the upper power (90 % point): less is the aircraft on the ground
@@ -39,9 +42,14 @@ class OtherPower(NamedTuple):
     usual_W: float
 
 
-def fit_vehicle(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
-    """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is."""
-    traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
+def fit_vehicle(
+    name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions, engine: Engine = PLAIN
+) -> VehicleFile:
+    """Return the vehicle file of the flights that are long enough; `engine` estimates their charge.
+
+    Raises NotEnoughData if no flight is long enough.
+    """
+    traces = [t for t in (trace(f, battery, options, engine) for f in flights) if t is not None]
     if not traces:
         logs = counted(len(flights), "log")
         raise NotEnoughData(f"{name}: {logs}, none of which holds {SHORTEST_S:.0f} s of flight with a current")
@@ -102,15 +110,12 @@ def _may_be(name: str, value: float) -> bool:
     return value >= (0.0 if name.endswith("_m") else 0.01)
 
 
-def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
+def trace(flight: Flight, battery: BatteryFile, options: PackOptions, engine: Engine = PLAIN) -> Trace | None:
     """Return one flight on a grid of GRID_S from take-off; None when it is too short or the pack was at rest."""
     sensors = installation_of(battery, 1, 1.0)
-    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
+    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf), engine)
     rows, ground_s, before_s = [], 0.0, math.inf
-    stated_s = capacity_since_s(battery, options, flight.facts)  # a late statement holds from the start
-    for sample in flight.samples:
-        estimator.update_facts(flight.facts_at(max(sample.time_s, stated_s)))
-        estimate, _ = estimator.step(sample)
+    for sample, estimate in _estimates(flight, estimator):
         if sample.armed is False:  # the time between two flights of a log does not count
             ground_s += max(estimate.time_s - before_s, 0.0)
         elif math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
@@ -133,6 +138,17 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
         power_W=[_rounded(w) for w in _means(time_s - time_s[first], watts, grid_s, end_s)],
         soc=[round(float(z), 4) for z in np.interp(grid_s, time_s - time_s[first], soc)],
     )
+
+
+def _estimates(flight: Flight, estimator: Estimator) -> Iterator[tuple[Sample, Estimate]]:
+    """Yield each row of a flight with its estimate. A capacity that is stated late holds from the start."""
+    stated_s = capacity_since_s(estimator.battery, estimator.options, flight.facts)
+    facts_s = [time_s for time_s, _ in flight.facts]
+    for _, rows in groupby(flight.samples, key=lambda row: bisect_right(facts_s, max(row.time_s, stated_s))):
+        stretch = list(rows)
+        estimator.update_facts(flight.facts_at(max(stretch[0].time_s, stated_s)))
+        for sample, (estimate, _) in zip(stretch, estimator.run(stretch), strict=True):
+            yield sample, estimate
 
 
 def _airborne(watts: Array) -> tuple[int, int]:
