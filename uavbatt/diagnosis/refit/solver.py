@@ -24,6 +24,7 @@ from uavbatt.diagnosis.refit.problem import Problem, Refit
 ITERATIONS = 12  # of a candidate, which starts at the fit without it
 SETTLED = 40  # iterations for the model without an effect: what has not converged would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)  # starts of an effect, in sds of its prior
+COLUMNS = 4000  # records times changes that are simulated side by side: more take memory and save no time
 CONVERGED = 0.01  # smallest chi-square that a step must be expected to gain
 # Marquardt's damping: a step that gains makes it smaller, one that does not makes it larger by more, so that a search
 # that is stuck ends soon. Below the least the step is that of Gauss and Newton; at the most it no longer moves.
@@ -71,7 +72,8 @@ def refit(
         batch.fill_from(u[i], values)
         v[i] = values.v
     if not file_errors:
-        u = _best_of_scan(batch, u, v)
+        for few in _groups(batch, len(SCAN)):
+            u[few] = _best_of_scan(batch.part(few), u[few], v[few])
     damping = np.full(len(candidates), FIRST_DAMPING)
     moving, going = batch.moving, np.arange(len(candidates))
     state = _linearised(batch, u, v, moving)
@@ -115,6 +117,12 @@ def _linear_gain(s: _Linearised, v: Array, du: Array, dv: Array) -> Array:
     return out
 
 
+def _groups(batch: Batch, changes: int) -> list[Rows]:
+    """Return the candidates in groups, so small that their changes are at most COLUMNS; one empty group of none."""
+    together, count = max(COLUMNS // (batch.records * changes), 1), len(batch.candidates)
+    return [np.arange(k, min(k + together, count)) for k in range(0, max(count, 1), together)]
+
+
 def _best_of_scan(batch: Batch, u: Array, v: Array) -> Array:
     """Return the best of a few sizes of the last quantity: the slope at zero does not lead to a large effect."""
     us = np.repeat(u[None], len(SCAN), axis=0)
@@ -124,13 +132,21 @@ def _best_of_scan(batch: Batch, u: Array, v: Array) -> Array:
             us[:, i, :, k] = np.clip(np.array(SCAN)[:, None] + u[i, :, k], batch.low[i, k], batch.high[i, k])
     every = np.ones(us.shape[:2], dtype=bool)
     values, soc = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0), every)
-    values += _from_knots(batch.slopes_on_knots(soc), u[..., batch.freed :])
+    if np.any(knots := u[..., batch.freed :]):
+        values += _from_knots(batch.slopes_on_knots(soc), knots)
     best = np.argmin(np.nan_to_num(np.sum(values**2, axis=(2, 3)), nan=np.inf), axis=0)
     chosen: Array = us[best, np.arange(len(batch.candidates))]
     return chosen
 
 
 def _linearised(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
+    """Linearise the candidates at u and v for some columns of u and for all of v, as many at a time as COLUMNS says."""
+    groups = _groups(batch, 1 + columns.size + NUISANCES)
+    parts = [_linearised_together(batch.part(few), u[few], v[few], columns) for few in groups]
+    return _Linearised(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _linearised_together(batch: Batch, u: Array, v: Array, columns: Rows) -> _Linearised:
     """Compute the slopes for some columns of u and for all of v by small changes of each."""
     nudged = columns[columns < batch.freed]
     first_v = 1 + nudged.size
