@@ -10,6 +10,7 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.sizing.pack_size import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
+from uavbatt.diagnosis.refit import solver
 from uavbatt.diagnosis.refit.late_current import SHIFTS_S, metered_current
 from uavbatt.diagnosis.refit.problem import Problem
 from uavbatt.diagnosis.refit.solver import refit
@@ -27,6 +28,15 @@ def test_a_candidate_ends_beside_others_where_it_ends_alone() -> None:
     for alone, beside in zip((refit(problem(), [o])[0] for o in options), refit(problem(), options), strict=True):
         assert beside.values() == pytest.approx(alone.values(), rel=1e-6)
         assert beside.total == pytest.approx(alone.total, rel=1e-9)
+
+
+def test_candidates_in_groups_end_where_they_end_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = [o for o in options_of(problem(), FILE, ()) if o.name in ("current_gain", "polarisation", "weak_cell")]
+    together = refit(problem(), options)
+    monkeypatch.setattr(solver, "COLUMNS", 1)
+    for one, grouped in zip(together, refit(problem(), options), strict=True):
+        assert grouped.values() == pytest.approx(one.values(), rel=1e-6)
+        assert grouped.total == pytest.approx(one.total, rel=1e-9)
 
 
 def test_what_a_refit_holds_stays_at_what_the_file_says_and_counts_in_the_errors() -> None:

@@ -97,6 +97,15 @@ def test_the_data_narrow_the_prior() -> None:
         assert fit.standard_error(name) < 0.6 * slot.sd * (fit.value(name) if slot.log else 1.0), name
 
 
+def test_simulations_in_parts_give_the_same_fit() -> None:
+    """What differs is the rounding of sums, in the last digits."""
+    fit, stacked = found()
+    with patch.object(solve, "COLUMNS", 1):
+        again = solve.fit_cell(stacked)
+    assert again.u == pytest.approx(fit.u, abs=1e-6)
+    assert again.own == pytest.approx(fit.own, abs=1e-6)
+
+
 def test_the_fit_explains_its_records() -> None:
     fit, stacked = found()
     run = solve.replay_fit(stacked, fit)

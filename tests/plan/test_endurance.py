@@ -23,7 +23,16 @@ from uavbatt.battery.sizing.pack_size import PackOptions, sized
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan.endurance import TABLE_C, Endurance, TakeOff, endurance, make_plan, resolve, rested
+from uavbatt.plan.endurance import (
+    TABLE_C,
+    Endurance,
+    TakeOff,
+    endurance,
+    make_plan,
+    resolve,
+    rested,
+    unseen_temperature_sd,
+)
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load.library import learned_load
 from uavbatt.prediction.load.scenarios import ConstantLoad
@@ -124,6 +133,37 @@ def test_a_range_goes_from_the_coldest_to_the_warmest_validated_temperature() ->
     wide = msgspec.structs.replace(battery, certificate=certificate)
     assert planned(ambient_C=10.0, battery=wide).remark == ""
     assert planned(ambient_C=50.0, battery=wide).remark == "outside the validated range: -5 °C to 40 °C"
+
+
+def of_range(low_C: float, high_C: float, error_K: float) -> BatteryFile:
+    """The study's battery, validated from `low_C` to `high_C`, with this error of its activation energy."""
+    battery = battery_file.read_battery("lpab-3s")
+    certificate = msgspec.structs.replace(battery.certificate, validated_ambient_C=[low_C, high_C])
+    effects = [
+        msgspec.structs.replace(e, standard_error={"activation_K": error_K})
+        if e.name == "temperature_resistance"
+        else e
+        for e in battery.effects
+    ]
+    return msgspec.structs.replace(battery, certificate=certificate, effects=effects)
+
+
+def test_beyond_the_seen_temperatures_the_resistance_is_as_unsure_as_its_law() -> None:
+    battery = of_range(10.0, 35.0, 800.0)
+    assert [unseen_temperature_sd(battery, t) for t in (5.0, 22.0, 40.0)] == [0.0, 0.0, 0.0]  # give or take 5 K
+    assert unseen_temperature_sd(battery, -20.0) == pytest.approx(800.0 * (1.0 / 253.15 - 1.0 / 278.15))
+    assert unseen_temperature_sd(battery, 50.0) == pytest.approx(800.0 * (1.0 / 313.15 - 1.0 / 323.15))
+    nobody_tested = battery_file.read_battery("lipo-generic")
+    assert unseen_temperature_sd(nobody_tested, 20.0) == 0.0 < unseen_temperature_sd(nobody_tested, 10.0)
+
+
+def test_a_plan_in_the_unseen_cold_is_wider_towards_an_early_end() -> None:
+    """A worn pack at -20 °C ended before the 5 % point of a file of summer flights."""
+    unsure, sure = (
+        [planned(250.0, t, battery=of_range(15.0, 30.0, error_K)) for t in (-20.0, 20.0)] for error_K in (800.0, 0.0)
+    )
+    assert unsure[0].lo_s < 0.8 * sure[0].lo_s
+    assert unsure[1] == sure[1]
 
 
 def test_a_load_that_never_ends_it_is_refused_with_its_reason() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.equations import REFERENCE_TEMP_C, arrhenius
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
@@ -120,7 +121,8 @@ def endurance(battery: BatteryFile, resolved: PackSize, load: Load, take_off: Ta
     ambient_C, start_soc, reserve_soc, remembered = take_off
     pack = with_reaction(sized(battery, resolved), remembered)
     forecaster = Forecaster(pack, ForecastSettings(load, reserve_soc))
-    found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
+    belief = rested(pack, start_soc, ambient_C, remembered, unseen_temperature_sd(battery, ambient_C))
+    found = forecaster.forecast(belief, 0.0)
     if found is None:
         beyond = "the end may lie beyond six hours: this is not the load of a flight"
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, beyond)
@@ -141,18 +143,38 @@ def _why_no_flight(pack: Pack, start_soc: float, reserve_soc: float, ambient_C: 
     return "the pack sags below its cut-off when the motors start"
 
 
-def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None) -> Belief:
+def rested(
+    pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None, unseen_sd: float = 0.0
+) -> Belief:
     """Return the belief about a pack before take-off: its stated charge, the air temperature, the file's spreads.
 
-    For a pack in the ledger, its health replaces the spreads.
+    For a pack in the ledger, its health replaces the spreads. unseen_sd : added error of ln of the resistance at this
+    temperature (`unseen_temperature_sd`).
     """
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
+    members = members._replace(resistance_sd=np.hypot(members.resistance_sd, unseen_sd))
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.spread.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
     return Belief(means, covariances, np.log(members.weight), ambient_C)
+
+
+def unseen_temperature_sd(battery: BatteryFile, ambient_C: float) -> float:
+    """Return the error of ln of the resistance at a temperature [°C] outside those that the file covers.
+
+    It is the error of the activation energy over the distance. In flight the voltage shows the resistance at once;
+    before take-off a file of summer flights knew the endurance at -20 °C as well as that at 20 °C. A file without
+    temperatures covers the reference temperature.
+    """
+    low_C, high_C, _ = _range(battery)
+    if math.isnan(low_C):
+        low_C = high_C = REFERENCE_TEMP_C
+    nearest_C = min(max(ambient_C, low_C - VALID_WITHIN_K), high_C + VALID_WITHIN_K)
+    law = next((entry for entry in battery.effects if entry.name == "temperature_resistance"), None)
+    error_K = law.standard_error.get("activation_K", 0.0) if law is not None else 0.0
+    return abs(math.log(arrhenius(ambient_C, error_K) / arrhenius(nearest_C, error_K)))
 
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:

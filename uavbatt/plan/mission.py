@@ -23,7 +23,7 @@ from uavbatt.battery.sizing.pack_size import PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
-from uavbatt.plan.endurance import TABLE_C, TakeOff, range_remark, rested
+from uavbatt.plan.endurance import TABLE_C, TakeOff, range_remark, rested, unseen_temperature_sd
 from uavbatt.plan.words import leg_words
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.route import forecast as route_forecast
@@ -149,7 +149,7 @@ def make_route_plan(
     pack = with_reaction(sized(battery, resolved), remembered)
 
     def fit(at_C: float) -> tuple[RouteFit, Flying, Array]:
-        belief = rested(pack, start_soc, at_C, remembered)
+        belief = rested(pack, start_soc, at_C, remembered, unseen_temperature_sd(battery, at_C))
         return _fit(battery, pack, planned, (ahead, way), belief, reserve_soc)
 
     here, flying, end_s = fit(ambient_C)
