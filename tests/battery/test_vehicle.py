@@ -117,6 +117,13 @@ def test_coarse_rows_teach_the_same_energy() -> None:
     assert np.mean(coarse.power_W) == pytest.approx(mean_W, rel=0.03)
 
 
+def test_the_progress_of_a_fit_adds_up_to_all_of_it() -> None:
+    shares: list[float] = []
+    battery = battery_file.read_battery("lipo-generic")
+    fit_vehicle("quad", [flight(1), flight(2), flight(3)], battery, OPTIONS, progress=shares.append)
+    assert len(shares) == 3 and sum(shares) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("is_long", [False, True])
 def test_the_charge_of_a_trace_is_that_of_the_estimates_in_flight(is_long: bool) -> None:
     """Row by row as in flight, and many rows at once, plain or compiled: one charge."""

@@ -23,6 +23,7 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
+from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import BadInput, UavbattError, UsageError
 from uavbatt.output import counted
 
@@ -166,7 +167,9 @@ def _learned(path: Path, content: BatteryFile, flights: list[Flight], stated: Pa
         cause = "another aircraft, or a current sensor that reads wrong?"
         remark(f"warning: {one.source}: {one.power_W:.0f} W, the usual flight {one.usual_W:.0f} W: {cause}")
     engine = engine_for(is_long=sum(len(flight.samples) for flight in flights) >= MANY_ROWS)
-    return fit_vehicle(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated, engine)
+    name = path.name.removesuffix(vehicle_file.SUFFIX)
+    with progress_bar("vehicle file") as advance:
+        return fit_vehicle(name, flights, content, stated, engine, advance)
 
 
 def _vehicle(path: Path, learned: VehicleFile, flights: int) -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavbatt.cli.options import remark
-from uavbatt.errors import UsageError
+from uavbatt.cli.progress import progress_bar
+from uavbatt.errors import BadInput, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.records import Flight
@@ -38,10 +39,29 @@ def asked_flight(log: Path, instance: int | None, join: str, system: int | None 
 def asked_flights(
     logs: Sequence[Path], instance: int | None, join: str = "", system: int | None = None
 ) -> list[Flight]:
-    """Read the flights of logs with these options: of a log in which the pack was changed each flight by itself."""
+    """Read the flights of logs with these options: of a log in which the pack was changed each flight by itself.
+
+    A log that cannot be read is left out with a warning if another one can: a card of a season has some of no battery,
+    or of no bytes. Raises BadInput if none can be read, and for a name of no file.
+    """
     from uavbatt.telemetry.discharges import of_discharges
 
-    return [flight for log in logs for flight in of_discharges(asked_flight(log, instance, join, system))]
+    flights: list[Flight] = []
+    unread: list[BadInput] = []
+    with progress_bar("reading") as advance:
+        for log in logs:
+            try:
+                flights += of_discharges(asked_flight(log, instance, join, system))
+            except BadInput as error:
+                if not log.exists():
+                    raise
+                unread.append(error)
+            advance(1.0 / len(logs))
+    if unread and not flights:
+        raise unread[0]
+    for reason in unread:
+        remark(f"warning: {reason}: left out")
+    return flights
 
 
 def of_sound_sensors(flight: Flight, cells: int, capacity_Ah: float) -> Flight:

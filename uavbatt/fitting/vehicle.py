@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import groupby
 from typing import NamedTuple
 
@@ -43,13 +43,22 @@ class OtherPower(NamedTuple):
 
 
 def fit_vehicle(
-    name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions, engine: Engine = PLAIN
+    name: str,
+    flights: list[Flight],
+    battery: BatteryFile,
+    options: PackOptions,
+    engine: Engine = PLAIN,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> VehicleFile:
-    """Return the vehicle file of the flights that are long enough; `engine` estimates their charge.
+    """Return the vehicle file of the flights that are long enough. Raises NotEnoughData if none is.
 
-    Raises NotEnoughData if no flight is long enough.
+    engine : estimates their charge; progress : is called with the share of the work that each flight was
     """
-    traces = [t for t in (trace(f, battery, options, engine) for f in flights) if t is not None]
+    traces = []
+    for flight in flights:
+        if (found := trace(flight, battery, options, engine)) is not None:
+            traces.append(found)
+        progress(1.0 / len(flights))
     if not traces:
         logs = counted(len(flights), "log")
         raise NotEnoughData(f"{name}: {logs}, none of which holds {SHORTEST_S:.0f} s of flight with a current")
