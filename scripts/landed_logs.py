@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
 """A crew's logs: flights that land with a fifth to a third of the charge teach battery and vehicle file.
 
-    python scripts/landed_logs.py
+    python scripts/landed_logs.py [LOGS]
 
-Three makes that are not our model, level flight and flight with climbs: each teaches by six flights with packs of every
-age, and is then flown to the cut-off with three other packs (18 flights, a minute on two cores). Prints the error of
-the time left with the flight's own later power, the learned load, and without a vehicle file.
+Three makes that are not our model, level flight and flight with climbs: each teaches by six flights (or LOGS, ten at
+most) with packs of every age, and is then flown to the cut-off with three other packs (18 flights, a minute on two
+cores). Prints the error of the time left with the flight's own later power, the learned load, and without a vehicle
+file.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -58,11 +60,11 @@ def landed(pack: Pack, power: Power, land_soc: float, seed: int) -> Flight:
     return Flight(f"log {seed}", "csv", shown, duration_s=shown[-1].time_s)
 
 
-def judged(make: Make, climb: float) -> FloatArray:
+def judged(make: Make, climb: float, logs: int) -> FloatArray:
     """Return what was said minus the truth [s]: [packs, loads, instants, 5 % point, median and 95 % point]."""
     past = [
         landed(Pack(FULL_AH * share, 1.0, FULL_AH, ohms, make, CELLS, air_C), Power(LEVEL_W, climb=climb), soc, k)
-        for k, ((share, ohms, air_C, *_), soc) in enumerate(zip(MIXED_AGES[:LEARNED_FROM], LANDS_AT * 2, strict=False))
+        for k, ((share, ohms, air_C, *_), soc) in enumerate(zip(MIXED_AGES[:logs], LANDS_AT * 2, strict=False))
     ]
     battery = fit_battery(RecordedPack(make.name, CELLS, FULL_AH, CUTOFF_V), [], past).file
     vehicle = fit_vehicle(make.name, past, battery, PACK)
@@ -85,8 +87,9 @@ def _said(log: Flight, load: Load, battery: BatteryFile, end_s: float) -> FloatA
 
 def main() -> None:
     """Fly all and print the table."""
+    logs = int(sys.argv[1]) if len(sys.argv) > 1 else LEARNED_FROM
     with Pool(2) as pool:
-        error_s = np.concatenate(pool.starmap(judged, product(MAKES, CLIMBS), chunksize=1))
+        error_s = np.concatenate(pool.starmap(judged, product(MAKES, CLIMBS, [logs]), chunksize=1))
     print(f"| MAE (bias); 5 % point at most [s] | {' | '.join(f'{s:.0f}' for s in BEFORE_END_S)} |")
     print(f"|---|{'---|' * len(BEFORE_END_S)}")
     for n, name in enumerate(LOADS):
