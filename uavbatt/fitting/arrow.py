@@ -74,14 +74,14 @@ class _Step(NamedTuple):
 
 
 def robust_least_squares(
-    evaluate: Evaluate, start_u: Array, own: tuple[int, int], outlier: float, evaluations: int
+    evaluate: Evaluate, shared: int, own: tuple[int, int], outlier: float, evaluations: int
 ) -> Optimum:
-    """Find the unknowns of the least cost, from `start_u` and from v = 0.
+    """Find the unknowns of the least cost, from u = 0 and v = 0, the most probable ones before any record.
 
-    own : numbers of records and of own unknowns; outlier : c, the size beyond which a residual is one
-    evaluations : of the residuals, at most
+    shared : number of shared unknowns; own : numbers of records and of own unknowns; outlier : c, the size beyond which
+    a residual is one; evaluations : of the residuals, at most
     """
-    u, v, radius = start_u, np.zeros(own), FIRST_RADIUS
+    u, v, radius = np.zeros(shared), np.zeros(own), FIRST_RADIUS
     at = _equations(evaluate, u, v, outlier)
     for _ in range(evaluations):
         step = _step_within(at, radius)

@@ -175,7 +175,7 @@ def _solve_for(records: FittedRecords, chemistry: Chemistry) -> CellFit:
     alike = fit(own_prior=own_prior)
     if not records.has_spread:
         return alike
-    return max(alike, fit(own_prior=solve.IN_SERVICE, start_u=alike.u), key=lambda found: found.log_evidence)
+    return max(alike, fit(own_prior=solve.IN_SERVICE), key=lambda found: found.log_evidence)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:

@@ -142,20 +142,18 @@ def fit_cell(
     stack: Stack,
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
-    start_u: Array | None = None,
     evaluations: int = 40,
     chemistry: Chemistry = prior.LIPO,
 ) -> CellFit:
     """Find the most probable parameters and their covariance (robust beyond 4 sigma).
 
-    own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots];
-    evaluations : of the residuals, at most; chemistry : of the cells.
+    own_prior : one for all records, or each record's own; evaluations : of the residuals, at most; chemistry : of the
+    cells.
     """
     slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
     own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
     unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry)
-    start = np.zeros(len(slots)) if start_u is None else start_u
-    best = robust_least_squares(unknowns.evaluate, start, own_mean.shape, ROBUST_SCALE, evaluations)
+    best = robust_least_squares(unknowns.evaluate, len(slots), own_mean.shape, ROBUST_SCALE, evaluations)
     return CellFit(
         slots=slots,
         effects=effects,
