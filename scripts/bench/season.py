@@ -5,7 +5,6 @@ The logs are flights of packs that differ in age, landed with charge left, by a 
 
 from __future__ import annotations
 
-import csv
 import os
 import resource
 import subprocess
@@ -19,13 +18,13 @@ import numpy as np
 from landed_logs import landed
 from scoring.other_pack import CELLS, FULL_AH, LIPO, Pack, Power
 
-from bench.engine import Row
+from bench import engine
+from uavbatt.simulate.flight import write_log
 
 LOGS = (20, 80, 240)  # ascending, because the memory is that of the largest run so far
-COLUMNS = ("time_s", "voltage_V", "current_A", "temp_C", "armed")
 
 
-def rows() -> Iterator[Row]:
+def rows() -> Iterator[engine.Row]:
     """Yield the time and the memory of fits of a battery file and of a vehicle file."""
     with tempfile.TemporaryDirectory() as folder:
         logs = [_written(Path(folder) / f"flight_{k:03}.csv", k) for k in range(LOGS[-1])]
@@ -51,13 +50,7 @@ def _written(path: Path, seed: int) -> Path:
         air_C=dice.uniform(0.0, 32.0),
     )
     log = landed(pack, Power(dice.uniform(200.0, 350.0), climb=0.3), dice.uniform(0.15, 0.5), seed)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for s in log.samples:
-            table.writerow(
-                (s.time_s, f"{s.voltage_V:.3f}", f"{s.current_A:.3f}", f"{s.temp_C:.1f}", int(bool(s.armed)))
-            )
+    write_log(path, list(log.samples), engine.pack())
     return path
 
 

@@ -28,7 +28,7 @@ from uavbatt.records import Flight
 
 # Spread of packs of one type, new to worn out; flights of a fleet have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
-EVALUATIONS = 60  # of a fit, at most; fits of 3 to 40 flights need 10 to 30
+EVALUATIONS = 60  # of a fit, at most; fits of 3 to 40 flights need 10 to 60
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data add nothing
 # What records should reach, else the file says that they do not: a resistance of 1.4 and of 0.85 times that at 25 °C
 # (by the usual activation, 1500 K), and the charge below which the voltage falls off.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from itertools import groupby
 from typing import NamedTuple
@@ -152,10 +151,9 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions, engine: En
 def _estimates(flight: Flight, estimator: Estimator) -> Iterator[tuple[Sample, Estimate]]:
     """Yield each row of a flight with its estimate. A capacity that is stated late holds from the start."""
     stated_s = capacity_since_s(estimator.battery, estimator.options, flight.facts)
-    facts_s = [time_s for time_s, _ in flight.facts]
-    for _, rows in groupby(flight.samples, key=lambda row: bisect_right(facts_s, max(row.time_s, stated_s))):
+    for facts, rows in groupby(flight.samples, key=lambda row: flight.facts_at(max(row.time_s, stated_s))):
         stretch = list(rows)
-        estimator.update_facts(flight.facts_at(max(stretch[0].time_s, stated_s)))
+        estimator.update_facts(facts)
         for sample, (estimate, _) in zip(stretch, estimator.run(stretch), strict=True):
             yield sample, estimate
 
