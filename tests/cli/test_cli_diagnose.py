@@ -88,8 +88,18 @@ def test_a_wrong_call_is_said_in_one_line(logs: list[Path], arguments: list[str]
 
 def test_the_same_log_twice_is_no_evidence(logs: list[Path], tmp_path: Path) -> None:
     done = called("diagnose", logs[0], logs[0], *pack_options(), folder=tmp_path)
-    assert done.returncode == 2
-    assert "the same log" in done.stderr
+    assert done.returncode == 4
+    assert f"warning: {logs[0]}: the same flight as {logs[0]}: left out" in done.stderr
+
+
+def test_the_log_of_the_ground_station_is_no_check_of_the_aircrafts_own(logs: list[Path], tmp_path: Path) -> None:
+    """Both hold one flight: nothing is held back, though there are two files."""
+    pack = with_effects(generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V), {"current_gain": 1.25})
+    for name in ("onboard.BIN", "station.tlog"):
+        write_log(tmp_path / name, simulate_flight(pack, SimulatedFlight(320.0, 22.0, rate_Hz=1.0, seed=1)), pack)
+    done = called("diagnose", "onboard.BIN", "station.tlog", *pack_options(), folder=tmp_path)
+    assert done.returncode == 4
+    assert "warning: onboard.BIN: the same flight as station.tlog: left out" in done.stderr
 
 
 def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: list[Path], tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import typer
 from uavbatt.cli.diagnose_records import (
     DiagnoseOptions,
     ProgressLine,
-    distinct,
     flown_size,
     observed_of,
     one_size,
@@ -120,7 +119,7 @@ def _diagnose_and_tell(
     from uavbatt.cli.diagnose_text import as_json, lines
 
     datasets = [data.load(p) for p in sources if p.is_dir()]
-    flights = distinct(asked_flights([p for p in sources if not p.is_dir()], options.instance))
+    flights = asked_flights([p for p in sources if not p.is_dir()], options.instance)
     with reason_written(files):
         found, closed, new, base = _run(datasets, flights, options, gate)
     path = str(battery_file.write_battery(new, output)) if output is not None else None

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from uavbatt.cli.diagnose_records import (
     DiagnoseOptions,
     ProgressLine,
-    distinct,
     flown_size,
     observed_of,
     one_size,
@@ -57,7 +56,7 @@ def _read(sources: Sequence[Path], instance: int | None) -> list[Flight]:
         if (source / "battery.toml").exists():
             raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
         paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
-    return distinct(asked_flights(list(dict.fromkeys(paths)), instance))
+    return asked_flights(list(dict.fromkeys(paths)), instance)
 
 
 def _in_order(flights: list[Flight], packs: Path | None, pack: str) -> list[Flight]:

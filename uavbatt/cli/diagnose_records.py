@@ -90,17 +90,6 @@ def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> ObservedRecor
     return observed.from_flight(sound, cells, capacity_Ah, hottest_start_C=MAX_CELL_C)
 
 
-def distinct(flights: list[Flight]) -> list[Flight]:
-    """Return the flights. Raises UsageError if a log is named twice: it would count as evidence twice."""
-    voltages: dict[object, str] = {}
-    for flight in flights:
-        key = (len(flight.samples), flight.samples[0], flight.samples[-1])
-        if repr(key) in voltages:
-            raise UsageError(f"{flight.source}: the same log as {voltages[repr(key)]}: expected different flights")
-        voltages[repr(key)] = flight.source
-    return flights
-
-
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
     """Return the size of a flight's pack. Raises UsageError if the rows of the flight contradict it."""
     from uavbatt.battery.sizing.log_statements import whole_size

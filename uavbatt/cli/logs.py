@@ -42,9 +42,11 @@ def asked_flights(
     """Read the flights of logs with these options: of a log in which the pack was changed each flight by itself.
 
     A log that cannot be read is left out with a warning if another one can: a card of a season has some of no battery,
-    or of no bytes. Raises BadInput if none can be read, and for a name of no file.
+    or of no bytes. So is a second recording of a flight. Raises BadInput if none can be read, and for a name of no
+    file.
     """
     from uavbatt.telemetry.discharges import of_discharges
+    from uavbatt.telemetry.recorded_twice import without_second_recordings
 
     flights: list[Flight] = []
     unread: list[BadInput] = []
@@ -61,7 +63,10 @@ def asked_flights(
         raise unread[0]
     for reason in unread:
         remark(f"warning: {reason}: left out")
-    return flights
+    kept, left_out = without_second_recordings(flights)
+    for second, first in left_out:
+        remark(f"warning: {second.source}: the same flight as {first.source}: left out")
+    return kept
 
 
 def of_sound_sensors(flight: Flight, cells: int, capacity_Ah: float) -> Flight:
