@@ -149,6 +149,13 @@ def test_the_last_one_goes_on_at_its_last_two_minutes() -> None:
     assert np.isfinite(made.power_W).all() and made.power_W.min() > 0.0
 
 
+def test_beyond_all_landings_the_tank_of_a_sprayer_stays_empty() -> None:
+    """The mean of the whole flight holds the full tank: six logs that land made 70 s too few of eight minutes."""
+    emptying = np.linspace(450.0, 300.0, 50).tolist()
+    load = library(past([*emptying, *[300.0] * 35], end_soc=0.3))
+    assert load.power_W[0, -1] == pytest.approx(300.0, rel=0.01)
+
+
 # --- how wide ----------------------------------------------------------------------------------------------------
 
 
@@ -352,6 +359,14 @@ def test_a_flight_that_needs_more_since_a_step_goes_on_so() -> None:
     recent = RecentLoad(600.0, 405.0, 405.0, pieces)
     point = FlightPoint(600.0, 600.0, 0.5, 352.0, recent)
     assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, FEW_FLIGHTS), 405.0), rel=0.01)
+
+
+def test_a_payload_set_down_later_than_before_does_not_count_for_the_way_home() -> None:
+    """Its mean so far is a sixth higher; half minute by half minute it needs what the others have needed."""
+    load = library(*[past([*[360.0] * (25 + k), *[240.0] * 60]) for k in range(FEW_FLIGHTS)])
+    pieces = flown(*[360.0] * 84, *[240.0] * 36)
+    point = FlightPoint(600.0, 600.0, 0.4, 324.0, RecentLoad(600.0, 240.0, 240.0, pieces))
+    assert middle_W(load.scenarios(point, STEP_S, 20)) == pytest.approx(np.full((20, FEW_FLIGHTS), 240.0), rel=0.02)
 
 
 @pytest.mark.parametrize(("minutes", "expected_W"), [(2, 300.0), (6, 210.0)])

@@ -1,12 +1,12 @@
 """The load to come, learned from how aircraft flew before.
 
 With a vehicle file: each past flight is used from the point that corresponds to the present one (half by time since
-take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
-flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
-has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 43, 40,
-34 and 29 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. A past
-flight counts without its landing, because the time left is that of a flight that goes on. From then on it goes on as
-another past flight did from that charge.
+take-off, half by state of charge). Its power is scaled half-way to this flight's own, or fully if this flight differs
+more from all of them than flights of one aircraft usually do. By how much this flight differs is the median over its
+half minutes, so that a payload set down or a tank emptied at another time does not count. A past flight counts more if
+this flight has been similar in its last ten minutes. It counts without its landing, because the time left is that of a
+flight that goes on. From then on it goes on as another past flight did from that charge. The errors on real flights are
+in docs/scores.md.
 
 A change of the power in flight, against all past flights, counts by what has been flown since (`power_change`).
 
@@ -39,7 +39,9 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: dropouts and glid
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
-TAIL_S = 120.0  # the end of a past flight: its last minutes
+# The end of a past flight: its last minutes, or its last third if that needed more, as the minutes may be a descent.
+# The mean of the whole flight would hold what was set down on the way: a payload, the load of a sprayer.
+TAIL_S, TAIL_SHARE = 120.0, 1.0 / 3.0
 LANDING_SHARE = 0.95  # of the mean power: a flight whose end needs less is landing
 # Two flights of one route differ by 10 % from half minute to half minute, and by more if one is late. With 0.13 and
 # 0.25 the Matrice 100 flights are predicted equally well.
@@ -91,7 +93,8 @@ class LearnedLoad:
             past_mean_W = past_W[:, -change.since :].mean(axis=1)
             traces_W *= own_W[-change.since :].mean() / np.maximum(past_mean_W, LOWEST_POWER_W)
         else:
-            traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
+            ratio = np.exp(np.median(ln_ratio(own_W, past_W), axis=1)) if own_W.size else now.flight_W / mean_W
+            traces_W *= own_scales(ratio, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
         spread = OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD
         levels = equal_levels(math.hypot(spread, RISING_SD) if change.is_rising else spread, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
@@ -115,6 +118,14 @@ class LearnedLoad:
         return own_W, np.diff(past_J) / BLOCK_S
 
 
+def ln_ratio(own_W: Array, past_W: Array) -> Array:
+    """Return the power of each block of this flight over that of past flights, as ln, [flights, blocks].
+
+    own_W : mean power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
+    """
+    return np.asarray(np.log(np.maximum(own_W, LOWEST_POWER_W) / np.maximum(past_W, LOWEST_POWER_W)))
+
+
 def likeness(own_W: Array, past_W: Array) -> Array:
     """Return the weights [flights] of past flights by the similarity of their power over time to that of this flight.
 
@@ -126,7 +137,7 @@ def likeness(own_W: Array, past_W: Array) -> Array:
     """
     if own_W.size == 0:
         return np.full(past_W.shape[0], 1.0 / past_W.shape[0])
-    ratio = np.log(np.maximum(past_W, LOWEST_POWER_W) / np.maximum(own_W, LOWEST_POWER_W))
+    ratio = ln_ratio(own_W, past_W)
     apart = (ratio - np.median(ratio, axis=1, keepdims=True)) / BLOCK_SD
     misfit = np.sum(np.minimum(np.square(apart), FAR_APART), axis=1)
     weight = np.exp(-0.5 * (misfit - misfit.min()))
@@ -179,7 +190,8 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
         for joined in range(1, STITCHES + 1):
             other = raw[int(order[(i + joined) % len(raw)])]
             time_s, watts, charge = _stitched(time_s, watts, charge, *other)
-        tail_W = max(float(np.mean(watts[time_s >= time_s[-1] - TAIL_S])), float(np.mean(watts)))
+        tail_s = (time_s[-1] - TAIL_S, (1.0 - TAIL_SHARE) * time_s[-1])
+        tail_W = max(float(np.mean(watts[time_s >= begin_s])) for begin_s in tail_s)
         power_W[i] = np.interp(grid_s, time_s, watts, right=tail_W)
         soc[i] = np.interp(grid_s, time_s, charge)
         soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
