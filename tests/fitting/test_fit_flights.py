@@ -121,6 +121,20 @@ def test_what_flights_do_not_tell_is_said(kind: str, words: str) -> None:
     assert any(words in line for line in fitted(kind).unknown), fitted(kind).unknown
 
 
+@pytest.mark.parametrize(
+    ("kind", "untold", "told"),
+    [
+        ("whole", {"diffusion_activation_K"}, {"r0_0.1", "r0_0.3", "ocv_0.5", "heat_capacity_JpKAh"}),
+        ("half used", {"r0_0.05", "r0_0.1", "r0_0.2"}, {"ocv_0.8", "heat_capacity_JpKAh"}),
+        ("no thermometer", {"heat_capacity_JpKAh", "cooling_WpKAh", "sensor_lag_s"}, {"r0_0.1", "ocv_0.5"}),
+    ],
+)
+def test_the_quantities_that_flights_say_little_about_are_named(kind: str, untold: set[str], told: set[str]) -> None:
+    line = next(line for line in fitted(kind).unknown if line.startswith("your data say little about "))
+    named = set(line.removeprefix("your data say little about ").split(" (typical")[0].split(", "))
+    assert untold <= named and not told & named
+
+
 def test_nothing_is_said_that_is_known() -> None:
     said = " ".join(fitted("whole").unknown)
     assert "at rest" not in said and "no deep discharge" not in said and "no temperature" not in said

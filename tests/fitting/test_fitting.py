@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from unittest.mock import patch
 
@@ -128,6 +129,17 @@ def test_discrepancy_of_a_known_error() -> None:
     assert left.voltage_bias_V == pytest.approx(0.03 * float(np.mean(flat)), rel=0.1)
     assert left.voltage_rmse_V == pytest.approx(0.03 * float(np.sqrt(np.mean(flat**2))), rel=0.1)
     assert left.temperature_rmse_K == pytest.approx(1.0, rel=1e-3) and left.held_out
+
+
+@pytest.mark.parametrize("memory_s", [10.0, 40.0])
+def test_the_memory_of_the_model_error_is_that_of_its_lasting_part(memory_s: float) -> None:
+    """An Ornstein-Uhlenbeck error of this memory, read every 2 s with white noise of three tenths of its size."""
+    dice, rows = np.random.default_rng(1), 20000
+    keeps, error = math.exp(-2.0 / memory_s), np.zeros(rows)
+    for k in range(1, rows):
+        error[k] = keeps * error[k - 1] + math.sqrt(1.0 - keeps**2) * dice.standard_normal()
+    error += 0.3 * dice.standard_normal(rows)
+    assert assemble._correlation_time(error, 2.0 * np.arange(rows)) == pytest.approx(memory_s, rel=0.25)
 
 
 def test_the_misfit_is_told_for_the_pack_that_the_file_is_of() -> None:
