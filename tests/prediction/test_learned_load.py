@@ -233,6 +233,30 @@ def test_another_load_in_the_last_minute_is_believed_unless_the_motor_runs_by_tu
     assert typical_W(*by_turns) == pytest.approx(np.mean(by_turns), rel=0.1)  # it glides now
 
 
+@pytest.mark.parametrize(("then_W", "minutes"), [(200.0, 4), (400.0, 3)], ids=["set down", "taken up"])
+def test_an_unknown_aircraft_flies_on_with_the_load_that_it_has_now(then_W: float, minutes: int) -> None:
+    """Two minutes too few of six were said once a load of half the mass was set down: it was to be carried again."""
+    before, after = 60, 12 * minutes
+    pieces = flown(*[300.0] * before, *[then_W] * after)
+    since_s = 5.0 * (before + after)
+    point = FlightPoint(
+        since_s, since_s, 0.5, (300.0 * before + then_W * after) / (before + after),
+        RecentLoad(since_s, then_W, then_W, pieces), left_s=300.0,
+    )  # fmt: skip
+    unknown = UnknownAircraft()
+    assert unknown.typical_W(point) == pytest.approx(then_W, rel=0.02)
+    first_W = unknown.scenarios(point, STEP_S, 60).power_W[0]
+    assert np.mean(first_W) == pytest.approx(then_W, rel=0.05)  # with the load of before it flew again, a third off
+
+
+def test_a_descent_and_a_motor_that_stops_by_turns_are_no_change() -> None:
+    unknown = UnknownAircraft()
+    for powers_W in ([300.0] * 60 + [200.0] * 18, ([600.0] * 12 + [30.0] * 24) * 4):
+        since_s, mean_W = 5.0 * len(powers_W), float(np.mean(powers_W))
+        point = FlightPoint(since_s, since_s, 0.5, mean_W, RecentLoad(since_s, mean_W, mean_W, flown(*powers_W)))
+        assert unknown.typical_W(point) == pytest.approx(mean_W)
+
+
 def test_a_motor_that_runs_by_turns_ends_the_flight_while_it_runs() -> None:
     """The same mean power, steady or by turns of four times the mean: the cut-off is met while the motor runs."""
     steady, by_turns = (

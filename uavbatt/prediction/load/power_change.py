@@ -1,5 +1,7 @@
 """A change of the power in flight, against that of past flights at the same time since take-off.
 
+If no past flights are known, it is a change against this flight's own power before.
+
 A lasting step of 20 % and more is a payload that was taken up or set down: then only the power since counts. If the
 power has risen for minutes (`rising`), only that of the last two minutes counts. The mean of the whole flight would
 show both late. A change is remembered for the rest of the flight (`scripts/changing_power.py`).
@@ -12,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.prediction.load.power_history import LOWEST_POWER_W
-from uavbatt.prediction.load.rising import LEAST_SCATTER, NOW_BLOCKS, blocks_since_rise
+from uavbatt.prediction.load.power_history import LOWEST_POWER_W, PowerHistory
+from uavbatt.prediction.load.rising import BLOCK_S, LEAST_SCATTER, NOW_BLOCKS, blocks_since_rise
 
 # A step of the power in flight, as ln of the ratio: at least 20 %, for a minute and a half, and clear of the scatter.
 LEAST_STEP, LEAST_SINCE, STEP_SDS, MOST_LOW = 0.18, 3, 5.0, 0.1
@@ -39,6 +41,13 @@ def last_change(own_W: Array, past_W: Array) -> PowerChange:
     since_rise = blocks_since_rise(more)
     changes = since_rise, _since_more(more), _since_less(more, own)
     return PowerChange(min(filter(None, changes), default=0), since_rise == NOW_BLOCKS)
+
+
+def since_change(flown: PowerHistory) -> PowerHistory | None:
+    """Return the powers since the last change of a flight against its own power before; None if there was none."""
+    own_W = flown.blocks_W(BLOCK_S, REMEMBERED_BLOCKS)
+    since = last_change(own_W, np.ones((1, own_W.size))).since
+    return flown.last(since * BLOCK_S) if since else None
 
 
 def _since_more(more: Array) -> int:

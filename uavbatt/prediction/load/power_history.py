@@ -60,6 +60,15 @@ class PowerHistory(NamedTuple):
             left_s -= part_s
         return PowerHistory(now.piece_s, now.open_J + left_s * power_W, now.open_s + left_s, now.pieces_W)
 
+    @property
+    def mean_W(self) -> float:
+        """Return the mean power of all closed pieces [W]; there must be one."""
+        return float(np.mean(self.pieces_W))
+
+    def last(self, length_s: float) -> PowerHistory:
+        """Return the same without what is older than `length_s` [s] before the open piece."""
+        return self._replace(pieces_W=self.pieces_W[-max(round(length_s / self.piece_s), 1) :])
+
     def _closed(self, piece_W: float) -> PowerHistory:
         """Return the same with one more piece; where there are too many, two become one."""
         pieces_W, piece_s = (*self.pieces_W, piece_W), self.piece_s
