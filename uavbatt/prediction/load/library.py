@@ -12,7 +12,7 @@ A change of the power in flight, against all past flights, counts by what has be
 
 Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
 begins anywhere in the rest; before it this flight is flown again, at its own power, with a wide spread. What it flew
-before a change of its power does not come again.
+before a load was set down does not come again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
-from uavbatt.prediction.load.power_change import REMEMBERED_BLOCKS, last_change, since_change
+from uavbatt.prediction.load.power_change import REMEMBERED_BLOCKS, last_change, since_set_down
 from uavbatt.prediction.load.power_history import LOWEST_POWER_W, MEAN_TAU_S
 from uavbatt.prediction.load.rising import BLOCK_S, RISING_SD
 from uavbatt.prediction.load.scenarios import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
@@ -249,14 +249,14 @@ class UnknownAircraft:
     powers: Powers = UNKNOWN
 
     def typical_W(self, now: FlightPoint) -> float:
-        """Return the mean power [W] since the last change, unless the last minute shows another; at least 1 W.
+        """Return the mean power [W] since a load was set down, unless the last minute shows another; at least 1 W.
 
         The minutes of a flight differ by chance, and by much if its motor runs at intervals. A minute far above that is
         another load; a minute below it may be a descent.
         """
-        changed = since_change(now.recent.history)
-        flight_W = changed.mean_W if changed else now.flight_W
-        by_chance = (changed or now.recent.history).minute_sd
+        lighter = since_set_down(now.recent.history)
+        flight_W = lighter.mean_W if lighter else now.flight_W
+        by_chance = (lighter or now.recent.history).minute_sd
         away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / flight_W)
         share = CHANGE_SD**2 / (CHANGE_SD**2 + by_chance**2)
         if away > 0.0:
@@ -265,7 +265,7 @@ class UnknownAircraft:
 
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
-        flown = since_change(now.recent.history) or now.recent.history
+        flown = since_set_down(now.recent.history) or now.recent.history
         by_chance = flown.minute_sd
         known_sd = CHANGE_SD * by_chance / math.hypot(CHANGE_SD, by_chance)
         levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)

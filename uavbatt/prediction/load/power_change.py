@@ -1,7 +1,5 @@
 """A change of the power in flight, against that of past flights at the same time since take-off.
 
-If no past flights are known, it is a change against this flight's own power before.
-
 A lasting step of 20 % and more is a payload that was taken up or set down: then only the power since counts. If the
 power has risen for minutes (`rising`), only that of the last two minutes counts. The mean of the whole flight would
 show both late. A change is remembered for the rest of the flight (`scripts/changing_power.py`).
@@ -43,10 +41,13 @@ def last_change(own_W: Array, past_W: Array) -> PowerChange:
     return PowerChange(min(filter(None, changes), default=0), since_rise == NOW_BLOCKS)
 
 
-def since_change(flown: PowerHistory) -> PowerHistory | None:
-    """Return the powers since the last change of a flight against its own power before; None if there was none."""
-    own_W = flown.blocks_W(BLOCK_S, REMEMBERED_BLOCKS)
-    since = last_change(own_W, np.ones((1, own_W.size))).since
+def since_set_down(flown: PowerHistory) -> PowerHistory | None:
+    """Return the powers since a payload was last set down, of an aircraft without past flights; None if none was.
+
+    A load that is taken up shows in the last minute already, and a climb of minutes is none.
+    """
+    own = np.log(np.maximum(flown.blocks_W(BLOCK_S, REMEMBERED_BLOCKS), LOWEST_POWER_W))
+    since = changed_blocks(-own, LEAST_SINCE_LESS)
     return flown.last(since * BLOCK_S) if since else None
 
 
