@@ -43,6 +43,19 @@ def test_diagnose_leaves_them_out_by_name(folder: Path) -> None:
     assert "warning: of_no_bytes.BIN: expected a flight log" in done.stderr
 
 
+@pytest.mark.parametrize(
+    "command", [("fit", "-o", "q.battery.toml"), ("diagnose", "--battery", "lipo-generic")], ids=["fit", "diagnose"]
+)
+def test_a_folder_stands_for_the_logs_in_it(folder: Path, command: tuple[str, ...], tmp_path: Path) -> None:
+    """As for `fleet`; a second recording in it and what cannot be read are left out by name."""
+    (folder / "copies").mkdir()
+    (folder / "copies/flight1.csv").write_bytes((folder / "flight1.csv").read_bytes())
+    done = called(command[0], folder, *command[1:], *SIZE, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"warning: {folder}/of_no_bytes.BIN: expected a flight log" in done.stderr
+    assert f"warning: {folder}/flight1.csv: the same flight as {folder}/copies/flight1.csv: left out" in done.stderr
+
+
 @pytest.mark.parametrize("logs", [("of_no_bytes.BIN",), ("of_no_bytes.BIN", "of_no_battery.csv")])
 def test_where_none_can_be_read_the_first_is_named(folder: Path, logs: tuple[str, ...]) -> None:
     done = called("fit", *logs, "-o", "q.battery.toml", *SIZE, folder=folder)

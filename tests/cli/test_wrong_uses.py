@@ -64,6 +64,7 @@ FILES: dict[str, str | bytes] = {
     "packed.csv.gz": gzip.compress((HEAD + rows()).encode()),
     "px4.csv": "timestamp,voltage_v,current_a\n" + rows(seconds=lambda k: 1e6 * k),
     "Flüge/✈.csv": HEAD + rows(),
+    "leer/liesmich.txt": "no log",
     "edited.battery.toml": battery_file._text("lpab-3s")[0].replace(b"cells_series = 3", b"cells_series = 4"),
     "mv/battery.toml": BATTERY,
     "mv/discharge.csv": runs(lambda t: 16600.0 - 8.0 * t, 3),
@@ -150,9 +151,7 @@ REFUSED: dict[str, Use] = {
     "other cells than the data set's": Use(
         ("fit", "two", "-o", "x.battery.toml", "--cells", "6"), 2, ("--cells 6", "expected 4, as two/battery.toml")
     ),
-    "a folder of logs": Use(
-        ("fit", "Flüge", "-o", "x.battery.toml"), 2, ("Flüge", "expected a data set", "name the logs (Flüge/*)")
-    ),
+    "a folder without logs": Use(("fit", "leer", "-o", "x.battery.toml"), 2, ("leer: expected a data set", "or logs")),
     "a data set in mV": Use(("validate", "mv"), 1, ("discharge.csv", "line 2", "voltage_v", "(millivolts?)")),
     "a data set of one cell": Use(("validate", "cell"), 1, ("discharge.csv", "4.15 V at most for 4", "per cell?")),
     "a data set that leads away": Use(

@@ -17,7 +17,7 @@ from uavbatt.cli.diagnose_records import (
     tested_size,
     with_known_start,
 )
-from uavbatt.cli.logs import InstanceOption, asked_flights
+from uavbatt.cli.logs import InstanceOption, SourcesArgument, asked_flights, data_sets_and_logs
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    sources: Annotated[list[Path], typer.Argument(metavar="LOG|DATASET...", help="Flight logs and data-set folders.")],
+    sources: SourcesArgument,
     battery: BatteryOption,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -114,12 +114,11 @@ def _diagnose_and_tell(
     sources: list[Path], options: DiagnoseOptions, gate: Path | None, files: ResultFiles, output: Path | None
 ) -> None:
     """Diagnose the records, print the result, and write the files that are wanted; `output` is the extended file."""
-    from uavbatt import dataset as data
     from uavbatt.battery import battery_file
     from uavbatt.cli.diagnose_text import as_json, lines
 
-    datasets = [data.load(p) for p in sources if p.is_dir()]
-    flights = asked_flights([p for p in sources if not p.is_dir()], options.instance)
+    datasets, logs = data_sets_and_logs(sources)
+    flights = asked_flights(logs, options.instance)
     with reason_written(files):
         found, closed, new, base = _run(datasets, flights, options, gate)
     path = str(battery_file.write_battery(new, output)) if output is not None else None

@@ -16,7 +16,7 @@ from uavbatt.cli.diagnose_records import (
     reason_written,
     with_known_start,
 )
-from uavbatt.cli.logs import asked_flights
+from uavbatt.cli.logs import asked_flights, data_sets_and_logs
 from uavbatt.cli.options import ResultFiles, remark
 from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
@@ -49,14 +49,10 @@ def follow_and_tell(sources: Sequence[Path], options: DiagnoseOptions, files: Re
 
 def _read(sources: Sequence[Path], instance: int | None) -> list[Flight]:
     """Read the logs that are named, and those in folders, each once."""
-    from uavbatt.fleet.logs import find_logs
-
-    paths: list[Path] = []
-    for source in sources:
-        if (source / "battery.toml").exists():
-            raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
-        paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
-    return asked_flights(list(dict.fromkeys(paths)), instance)
+    tests = next((source for source in sources if (source / "battery.toml").exists()), None)
+    if tests is not None:
+        raise UsageError(f"{tests}: a data set of bench tests: expected flights, which have an order of time")
+    return asked_flights(data_sets_and_logs(sources)[1], instance)
 
 
 def _in_order(flights: list[Flight], packs: Path | None, pack: str) -> list[Flight]:

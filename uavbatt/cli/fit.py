@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flights, of_sound_sensors
+from uavbatt.cli.logs import (
+    InstanceOption,
+    JoinOption,
+    SourcesArgument,
+    SystemOption,
+    asked_flights,
+    data_sets_and_logs,
+    of_sound_sensors,
+)
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -39,7 +47,7 @@ MANY_ROWS = 20_000  # of all logs: plain numpy takes 8 s for them, compiled code
 
 
 def fit(
-    sources: Annotated[list[Path], typer.Argument(metavar="DATASET|LOG...", help="Data-set folders and flight logs.")],
+    sources: SourcesArgument,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NAME.battery.toml to write.")] = None,
     vehicle: Annotated[Path | None, typer.Option("--vehicle", help="NAME.vehicle.toml to write.")] = None,
     battery: BatteryOption = "",
@@ -62,8 +70,8 @@ def fit(
     check_named(output, vehicle)
     check_kind(output, vehicle)
     check_writable(output, vehicle, reads=sources)
-    datasets = [_loaded(path) for path in sources if path.is_dir()]
-    flights = asked_flights([path for path in sources if not path.is_dir()], instance, join, system)
+    datasets, logs = data_sets_and_logs(sources)
+    flights = asked_flights(logs, instance, join, system)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = _known(read_battery(battery, allow_uncertified), flights, stated)
@@ -80,16 +88,6 @@ def fit(
         say(f"{_written(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None and learned is not None:
         say(_vehicle(vehicle, learned, len(flights)))
-
-
-def _loaded(folder: Path) -> DataSet:
-    """Return the data set in a folder. Raises UsageError for a folder of logs: they are named one by one."""
-    from uavbatt import dataset
-
-    if not any((folder / name).exists() for name in dataset.TEMPLATE_FILES) and any(folder.iterdir()):
-        said = "expected a data set with battery.toml and discharge.csv; of a folder of logs name the logs"
-        raise UsageError(f"{folder}: {said} ({folder}/*)")
-    return dataset.load(folder)
 
 
 def _written(content: BatteryFile, output: Path) -> Path:

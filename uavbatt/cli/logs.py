@@ -14,6 +14,7 @@ from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import BadInput, UsageError
 
 if TYPE_CHECKING:
+    from uavbatt.dataset import DataSet
     from uavbatt.records import Flight
 
 InstanceOption = Annotated[
@@ -21,7 +22,9 @@ InstanceOption = Annotated[
 ]
 JoinOption = Annotated[str, typer.Option("--join", help="parallel or series: all batteries of the log as one pack.")]
 
-
+SourcesArgument = Annotated[
+    list[Path], typer.Argument(metavar="LOG|DATASET...", help="Flight logs, folders of logs, data sets.")
+]
 SystemOption = Annotated[
     int | None, typer.Option("--system", min=1, max=255, help="Vehicle of a .tlog that holds several.")
 ]
@@ -34,6 +37,37 @@ def asked_flight(log: Path, instance: int | None, join: str, system: int | None 
 
     check_join(instance, join)
     return read_joined(log, Wiring(join), system) if join else read_log(log, instance, system)
+
+
+def data_sets_and_logs(sources: Sequence[Path]) -> tuple[list[DataSet], list[Path]]:
+    """Return the data sets among the sources, and the logs: those that are named, and those in folders.
+
+    Raises UsageError for a folder of neither.
+    """
+    from uavbatt import dataset
+
+    is_data_set = {path: path.is_dir() and _holds_tests(path) for path in sources}
+    logs = [log for path in sources if not is_data_set[path] for log in logs_in(path)]
+    return [dataset.load(path) for path in sources if is_data_set[path]], logs
+
+
+def _holds_tests(folder: Path) -> bool:
+    """Return True if a folder holds a file of a data set."""
+    from uavbatt import dataset
+
+    return any((folder / name).exists() for name in dataset.TEMPLATE_FILES)
+
+
+def logs_in(source: Path) -> list[Path]:
+    """Return the logs in a folder, at any depth, or the log itself. Raises UsageError for a folder without logs."""
+    from uavbatt.fleet.logs import find_logs
+
+    if not source.is_dir():
+        return [source]
+    try:
+        return [Path(log.name) for log in find_logs([str(source)])]
+    except UsageError:
+        raise UsageError(f"{source}: expected a data set with battery.toml and discharge.csv, or logs") from None
 
 
 def asked_flights(
