@@ -48,6 +48,15 @@ def test_the_record_of_the_link_is_found_at_every_rate(rate_Hz: float) -> None:
     assert left_out(aircraft, as_station(aircraft, rate_Hz)) == [("station.tlog", "aircraft1.BIN")]
 
 
+def test_a_clock_that_is_set_in_flight_hides_no_second_recording() -> None:
+    """The station learns the date after a quarter of the flight: its clock leaps by half a century."""
+    aircraft, station = flown(1), as_station(flown(1), 2.0)
+    rows = station.samples
+    leapt = [replace(row, time_s=row.time_s + 1.7e9) for row in rows[len(rows) // 4 :]]
+    station = replace(station, samples=(*rows[: len(rows) // 4], *leapt))
+    assert left_out(station, aircraft) == [("station.tlog", "aircraft1.BIN")]
+
+
 def test_two_flights_of_one_power_are_two() -> None:
     assert left_out(flown(1), flown(2), as_station(flown(3), 2.0)) == []
 

@@ -9,8 +9,8 @@ pairs of voltage and current of one recording are found in the other one too, an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +20,20 @@ from uavbatt.telemetry.columns import Column
 from uavbatt.telemetry.quality.drawn import loaded_A
 
 VOLTAGE_STEP_V, CURRENT_STEP_A = 0.01, 0.02  # formats round differently: readings are the same within these steps
-DELAY_STEP_S = 2.0  # a link delays the rows of a flight by times that differ by less
+DELAYS_S = 4.0  # a link delays the rows of a flight by times that differ by less
 # Two recordings share nearly all readings (98 % at least), flights of one route at most 5 %, or 33 % if the logs tell
 # one decimal only: then as many are shared at other delays, too.
 SHARED, OTHER_DELAYS = 0.6, 1.0 / 3.0
-LEAST_READINGS = 20
+LEAST_READINGS, MOST_READINGS = 20, 500  # of the shorter recording; more tell no more
+PAIR_STEP = 1_000_000  # from one voltage to the next in the number of a pair: more than any current has steps
 GAP_S = 5.0  # a row stands for no more time than this
 
 
-@dataclass(frozen=True, slots=True)
-class _Readings:
-    """Readings hold the different readings of a flight under load, in steps, ascending; `time_s` of each [s]."""
+class _Readings(NamedTuple):
+    """Readings hold voltage and current of a flight under load, each pair one number, ascending, and its time [s]."""
 
-    voltage: NDArray[np.int64]
-    current: NDArray[np.int64]
+    pair: NDArray[np.int64]
     time_s: Column
-
-    @property
-    def pair(self) -> NDArray[np.int64]:
-        """Return voltage and current as one number."""
-        return self.voltage * 1_000_000 + self.current
 
 
 def without_second_recordings(flights: Sequence[Flight]) -> tuple[list[Flight], list[tuple[Flight, Flight]]]:
@@ -71,11 +65,9 @@ def _readings(flight: Flight) -> _Readings:
     rows = rows[np.isfinite(rows).all(axis=1) & (rows[:, 2] > loaded_A(rows[:, 2]))]
     is_new = np.append(True, (np.diff(rows[:, 1:], axis=0) != 0.0).any(axis=1))[: len(rows)]
     time_s, volts, amps = rows[is_new].T
-    found = _Readings(
-        np.rint(volts / VOLTAGE_STEP_V).astype(np.int64), np.rint(amps / CURRENT_STEP_A).astype(np.int64), time_s
-    )
-    order = np.argsort(found.pair, kind="stable")
-    return _Readings(found.voltage[order], found.current[order], time_s[order])
+    pair = (np.rint(volts / VOLTAGE_STEP_V) * PAIR_STEP + np.rint(amps / CURRENT_STEP_A)).astype(np.int64)
+    order = np.argsort(pair, kind="stable")
+    return _Readings(pair[order], time_s[order])
 
 
 def _is_one_flight(a: _Readings, b: _Readings) -> bool:
@@ -83,18 +75,18 @@ def _is_one_flight(a: _Readings, b: _Readings) -> bool:
     few, many = sorted((a, b), key=lambda readings: len(readings.time_s))
     if len(few.time_s) < LEAST_READINGS:
         return False
+    each = -(-len(few.time_s) // MOST_READINGS)
+    few = _Readings(few.pair[::each], few.time_s[::each])
     reading, delay_s = _shared(few, many)
     if len(set(reading.tolist())) < SHARED * len(few.time_s):
         return False
-    steps = np.floor((delay_s - delay_s.min()) / DELAY_STEP_S).astype(np.int64)
-    counts = np.append(np.bincount(steps), 0)
-    counts = counts[:-1] + counts[1:]  # delays of one recording may lie on both sides of an edge
-    most = int(np.argmax(counts))
-    others = np.delete(counts, slice(max(most - 2, 0), most + 3))
-    at_most = reading[(steps == most) | (steps == most + 1)]
-    return len(set(at_most.tolist())) > SHARED * len(few.time_s) and bool(
-        others.max(initial=0) < OTHER_DELAYS * counts[most]
-    )
+    begins_s = np.sort(delay_s)
+    matches = np.searchsorted(begins_s, begins_s + DELAYS_S, "right") - np.arange(begins_s.size)
+    most = int(np.argmax(matches))
+    others = matches[np.abs(begins_s - begins_s[most]) > 2.0 * DELAYS_S]
+    is_at = (delay_s >= begins_s[most]) & (delay_s <= begins_s[most] + DELAYS_S)
+    is_most = len(set(reading[is_at].tolist())) > SHARED * len(few.time_s)
+    return is_most and bool(others.max(initial=0) < OTHER_DELAYS * matches[most])
 
 
 def _shared(few: _Readings, many: _Readings) -> tuple[NDArray[np.int64], Column]:
