@@ -44,11 +44,20 @@ def last_change(own_W: Array, past_W: Array) -> PowerChange:
 def since_set_down(flown: PowerHistory) -> PowerHistory | None:
     """Return the powers since a payload was last set down, of an aircraft without past flights; None if none was.
 
-    A load that is taken up shows in the last minute already, and a climb of minutes is none.
+    A load that is taken up shows in the last minute already, and a climb of minutes is none. If the flight has needed
+    little before, and much again (a tank that is filled again), it may do so once more.
     """
     own = np.log(np.maximum(flown.blocks_W(BLOCK_S, REMEMBERED_BLOCKS), LOWEST_POWER_W))
     since = changed_blocks(-own, LEAST_SINCE_LESS)
-    return flown.last(since * BLOCK_S) if since else None
+    return flown.last(since * BLOCK_S) if since and not _has_risen_again(own[:-since]) else None
+
+
+def _has_risen_again(own: Array) -> bool:
+    """Return True if minutes of little power were followed by minutes of much; own : ln of the power, [blocks]."""
+    if own.size < LEAST_SINCE_LESS:
+        return False
+    means = np.convolve(own, np.full(LEAST_SINCE_LESS, 1.0 / LEAST_SINCE_LESS), mode="valid")
+    return bool((means - np.minimum.accumulate(means)).max() > LEAST_STEP)
 
 
 def _since_more(more: Array) -> int:
