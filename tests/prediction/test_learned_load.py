@@ -250,13 +250,13 @@ def test_an_unknown_aircraft_does_not_take_up_again_what_it_has_set_down() -> No
 
 def test_a_tank_that_was_filled_again_may_be_filled_once_more() -> None:
     """Two tanks with one pack: while the second is empty, the rest is not taken for flight without any load."""
-    emptying = [*np.linspace(450.0, 300.0, 36).tolist(), *[300.0] * 36]
+    emptying = [*[450.0] * 60, *[300.0] * 48]
     powers_W = [*emptying, *emptying]
     pieces, since_s = flown(*powers_W), 5.0 * len(powers_W)
     point = FlightPoint(since_s, since_s, 0.5, float(np.mean(powers_W)), RecentLoad(since_s, 300.0, 300.0, pieces))
     assert UnknownAircraft().typical_W(point) > 1.05 * 300.0
     once = flown(*emptying)
-    point = FlightPoint(360.0, 360.0, 0.5, float(np.mean(emptying)), RecentLoad(360.0, 300.0, 300.0, once))
+    point = FlightPoint(540.0, 540.0, 0.5, float(np.mean(emptying)), RecentLoad(540.0, 300.0, 300.0, once))
     assert UnknownAircraft().typical_W(point) == pytest.approx(300.0, rel=0.03)
 
 
