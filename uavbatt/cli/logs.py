@@ -47,7 +47,7 @@ def data_sets_and_logs(sources: Sequence[Path]) -> tuple[list[DataSet], list[Pat
     from uavbatt import dataset
 
     is_data_set = {path: path.is_dir() and _holds_tests(path) for path in sources}
-    logs = [log for path in sources if not is_data_set[path] for log in logs_in(path)]
+    logs = [log for path in sources if not is_data_set[path] for log in _logs_in(path)]
     return [dataset.load(path) for path in sources if is_data_set[path]], logs
 
 
@@ -58,7 +58,7 @@ def _holds_tests(folder: Path) -> bool:
     return any((folder / name).exists() for name in dataset.TEMPLATE_FILES)
 
 
-def logs_in(source: Path) -> list[Path]:
+def _logs_in(source: Path) -> list[Path]:
     """Return the logs in a folder, at any depth, or the log itself. Raises UsageError for a folder without logs."""
     from uavbatt.fleet.logs import find_logs
 
