@@ -27,7 +27,7 @@ from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.navigation import UNSTATED, ReturnSettings
 from uavbatt.prediction.load.power_change import REMEMBERED_BLOCKS, last_change, since_set_down
-from uavbatt.prediction.load.power_history import LOWEST_POWER_W, MEAN_TAU_S
+from uavbatt.prediction.load.power_history import LOWEST_POWER_W, MEAN_TAU_S, PowerHistory
 from uavbatt.prediction.load.rising import BLOCK_S, RISING_SD
 from uavbatt.prediction.load.scenarios import ConstantLoad, FlightPoint, Load, Scenarios, equal_levels, flown_again
 
@@ -254,7 +254,10 @@ class UnknownAircraft:
         The minutes of a flight differ by chance, and by much if its motor runs at intervals. A minute far above that is
         another load; a minute below it may be a descent.
         """
-        lighter = since_set_down(now.recent.history)
+        return self._level_W(now, since_set_down(now.recent.history))
+
+    def _level_W(self, now: FlightPoint, lighter: PowerHistory | None) -> float:
+        """Return the same; lighter : the powers since a load was set down, None if none was."""
         flight_W = lighter.mean_W if lighter else now.flight_W
         by_chance = (lighter or now.recent.history).minute_sd
         away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / flight_W)
@@ -265,10 +268,11 @@ class UnknownAircraft:
 
     def scenarios(self, now: FlightPoint, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
-        flown = since_set_down(now.recent.history) or now.recent.history
+        lighter = since_set_down(now.recent.history)
+        flown = lighter or now.recent.history
         by_chance = flown.minute_sd
         known_sd = CHANGE_SD * by_chance / math.hypot(CHANGE_SD, by_chance)
-        levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
+        levels = self._level_W(now, lighter) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
         share = (np.arange(steps) + 0.5) * dt_s / now.left_s
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
