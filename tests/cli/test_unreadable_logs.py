@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,23 @@ def test_a_folder_stands_for_the_logs_in_it(folder: Path, command: tuple[str, ..
     assert done.returncode == 0, done.stderr
     assert f"warning: {folder}/of_no_bytes.BIN: expected a flight log" in done.stderr
     assert f"warning: {folder}/flight1.csv: the same flight as {folder}/copies/flight1.csv: left out" in done.stderr
+
+
+def test_replay_takes_the_logs_of_a_folder_one_by_one(folder: Path, tmp_path: Path) -> None:
+    done = called("replay", folder, *SIZE, "--json", tmp_path / "all.json", folder=tmp_path)
+    assert done.returncode == 1
+    told = {Path(one["log"]).name: one for one in json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))}
+    assert list(told) == ["flight0.csv", "flight1.csv", "of_no_battery.csv", "of_no_bytes.BIN"]
+    assert [name for name, one in told.items() if "error" in one] == ["of_no_battery.csv", "of_no_bytes.BIN"]
+
+
+def test_a_folder_without_logs_is_named(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    done = called("replay", "empty", *SIZE, folder=tmp_path)
+    assert (done.returncode, done.stderr) == (
+        2,
+        "uavbatt: empty: expected a folder with flight logs, found none in it\n",
+    )
 
 
 @pytest.mark.parametrize("logs", [("of_no_bytes.BIN",), ("of_no_bytes.BIN", "of_no_battery.csv")])

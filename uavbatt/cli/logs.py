@@ -47,7 +47,8 @@ def data_sets_and_logs(sources: Sequence[Path]) -> tuple[list[DataSet], list[Pat
     from uavbatt import dataset
 
     is_data_set = {path: path.is_dir() and _holds_tests(path) for path in sources}
-    logs = [log for path in sources if not is_data_set[path] for log in _logs_in(path)]
+    others = [path for path in sources if not is_data_set[path]]
+    logs = logs_in(others, "a data set with battery.toml and discharge.csv, or logs")
     return [dataset.load(path) for path in sources if is_data_set[path]], logs
 
 
@@ -58,16 +59,23 @@ def _holds_tests(folder: Path) -> bool:
     return any((folder / name).exists() for name in dataset.TEMPLATE_FILES)
 
 
-def _logs_in(source: Path) -> list[Path]:
-    """Return the logs in a folder, at any depth, or the log itself. Raises UsageError for a folder without logs."""
+def logs_in(sources: Sequence[Path], expected: str) -> list[Path]:
+    """Return the logs that are named, and for a folder those in it, at any depth, by name.
+
+    expected : what a source should be, in words. Raises UsageError with it for a folder without logs.
+    """
     from uavbatt.fleet.logs import find_logs
 
-    if not source.is_dir():
-        return [source]
-    try:
-        return [Path(log.name) for log in find_logs([str(source)])]
-    except UsageError:
-        raise UsageError(f"{source}: expected a data set with battery.toml and discharge.csv, or logs") from None
+    logs = list[Path]()
+    for source in sources:
+        if not source.is_dir():
+            logs.append(source)
+            continue
+        try:
+            logs += [Path(log.name) for log in find_logs([str(source)])]
+        except UsageError:
+            raise UsageError(f"{source}: expected {expected}") from None
+    return logs
 
 
 def asked_flights(

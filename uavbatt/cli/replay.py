@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from uavbatt.cli import pack_memory
-from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight, distinct_names
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight, distinct_names, logs_in
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     STANDARD_OUTPUT,
@@ -90,7 +90,9 @@ class ReplayOptions:
 
 
 def replay(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs: .BIN, .log, .tlog, .ulg or CSV.")],
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs (.BIN, .log, .tlog, .ulg or CSV), folders of logs.")
+    ],
     battery: BatteryOption = DEFAULT_BATTERY,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -126,6 +128,7 @@ def replay(
     from uavbatt.battery import vehicle_file
     from uavbatt.telemetry.formats.mission_file import read_mission
 
+    logs = logs_in(sources, "a folder with flight logs, found none in it")
     outputs = _checked_outputs(logs, Outputs(jsonl, csv, report, png, svg), summary, [vehicle, mission, packs])
     options = ReplayOptions(
         battery=read_battery(battery, allow_uncertified),

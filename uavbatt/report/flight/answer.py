@@ -19,7 +19,7 @@ def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: floa
     cutoff_V : the pack's cut-off [V]
     """
     if landing is None:
-        return "No flight in this log: the battery carried no load."
+        return "No flight in this log: its current never shows that motors carried the aircraft."
     if math.isfinite(end_of_flight_s):
         when = f"{duration(end_of_flight_s)} after the log's start"
         return f"The battery was at its end before you landed: below {cutoff_V:.2f} V under load {when}."
