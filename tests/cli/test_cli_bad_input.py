@@ -133,10 +133,12 @@ def test_bad_input_is_refused_by_the_process_as_well(case: str, folder: Path) ->
 
 
 @pytest.mark.parametrize("command", ["replay", "info"])
-def test_a_missing_log_and_a_directory_are_refused(command: str, folder: Path) -> None:
+def test_a_missing_log_and_a_directory_without_logs_are_refused(command: str, folder: Path) -> None:
     call = replay if command == "replay" else lambda log: ("info", log)
     assert_refused(folder, call(Path("nowhere.tlog")), 1, ("nowhere.tlog", "expected", "no such file"))
-    assert_refused(folder, call(Path("out")), 1, ("out", "expected", "a directory"))
+    (folder / "empty").mkdir()
+    code, words = (2, "found none in it") if command == "replay" else (1, "a directory")
+    assert_refused(folder, call(Path("empty")), code, ("empty", "expected", words))
 
 
 def test_a_log_without_battery_messages(folder: Path) -> None:

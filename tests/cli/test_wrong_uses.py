@@ -99,7 +99,7 @@ def replayed(name: str, *more: str) -> tuple[str, ...]:
 REFUSED: dict[str, Use] = {
     "a text file": Use(replayed("notes.txt"), 1, ("notes.txt", "expected a flight log", "text of another kind")),
     "a missing file": Use(replayed("gone.BIN"), 1, ("gone.BIN", "no such file")),
-    "a folder": Use(replayed("mv"), 1, ("mv", "found a directory")),
+    "an empty folder": Use(replayed("leer"), 2, ("leer: expected a folder with flight logs", "found none")),
     "an empty file": Use(replayed("empty.BIN"), 1, ("empty.BIN", "an empty file")),
     "millivolts": Use(replayed("millivolts.csv"), 1, ("row 1 (line 2)", "voltage_V", "16200 (millivolts?)")),
     "percent": Use(replayed("percent.csv"), 1, ("reported_soc", "expected 0..1", "(percent?)")),
