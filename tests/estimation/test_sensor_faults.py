@@ -21,11 +21,12 @@ from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 CELLS, CAPACITY_AH = 4.0, 5.0
 
 
-def after(current_A: list[float], row_s: float = 1.0) -> SensorChanges:
-    """The readings of a voltage that falls steadily, beside these currents."""
+def after(current_A: list[float], row_s: float = 1.0, disarmed_from: float = math.nan) -> SensorChanges:
+    """The readings of a voltage that falls steadily, beside these currents; NaN: nobody tells when it disarms."""
     readings = SensorChanges()
     for k, amps in enumerate(current_A):
-        readings = readings.after(SensorRow(k * row_s, 15.0 - 0.002 * k, amps, math.nan, CELLS, CAPACITY_AH))
+        armed = None if math.isnan(disarmed_from) else k < disarmed_from
+        readings = readings.after(SensorRow(k * row_s, 15.0 - 0.002 * k, amps, math.nan, CELLS, CAPACITY_AH, armed))
     return readings
 
 
@@ -58,6 +59,15 @@ def test_it_is_forgiven_when_it_moves_again() -> None:
 )
 def test_what_is_steady_by_nature_is_not_stuck(current_A: list[float]) -> None:
     assert after(current_A).stuck_current_s(CAPACITY_AH) == 0.0
+
+
+def test_avionics_that_draw_steadily_after_a_landing_are_not_stuck() -> None:
+    """A companion computer of 20 W: the charge at the end of such a log was not known any more, live it was a fault."""
+    landed = [*gusty(120), *[1.3] * 120]
+    assert after(landed, disarmed_from=120).stuck_current_s(CAPACITY_AH) == 0.0
+    assert after(landed).stuck_current_s(CAPACITY_AH) >= STUCK_S
+    assert after(landed, disarmed_from=160).stuck_current_s(CAPACITY_AH) >= STUCK_S, "it was stuck in the air"
+    assert after([*gusty(120), *[8.0] * 120], disarmed_from=120).stuck_current_s(CAPACITY_AH) >= STUCK_S
 
 
 def test_rows_sent_more_often_than_the_sensor_is_read_are_not_stuck() -> None:

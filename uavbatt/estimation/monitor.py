@@ -107,7 +107,7 @@ class Monitor(NamedTuple):
         if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.sensors.changes.time_s:
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        row = SensorRow(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
+        row = SensorRow(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah, sample.armed)
         sensors, innovations, verdict = self.sensors.after(row), self.innovations, self.pack
         if math.isfinite(estimate.nis):  # a block is closed: the belief is another one
             innovations = innovations.after(time_s, estimate.nis)

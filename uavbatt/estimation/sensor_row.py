@@ -8,7 +8,7 @@ from typing import NamedTuple
 class SensorRow(NamedTuple):
     """SensorRow holds a row with voltage and current, the voltage that is expected of it, and the size of the pack.
 
-    time_s [s]; voltage_V, predicted_V [V]; current_A [A]; cells in series; capacity_Ah [Ah]
+    time_s [s]; voltage_V, predicted_V [V]; current_A [A]; cells in series; capacity_Ah [Ah]; armed: None if unknown
     """
 
     time_s: float
@@ -17,3 +17,4 @@ class SensorRow(NamedTuple):
     predicted_V: float
     cells: float
     capacity_Ah: float
+    armed: bool | None = None

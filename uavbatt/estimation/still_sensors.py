@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.estimation.sensor_row import SensorRow
+from uavbatt.limits import GROUNDED_C_RATE
 
 STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
 # The voltage of a cell falls by at least LEAST_FALL_V per unit of charge. A voltage is stuck if it has not moved
@@ -18,9 +19,9 @@ COARSE_CELL_V, COARSE_CHANGES = 0.1, 5
 # that reads between two of its steps shows now one, now the other: that is no turn.
 TURN_CELL_V, TURN_STEPS, TURNS = 0.012, 1.5, 6
 # A current is stuck if it should have changed this many times since its last change. The expected number follows from
-# the share of rows in which it usually changes (`habit`, over about a hundred rows). On the ground, below a tenth of
-# 1 C, a constant current is normal. It is so in the air, too, if the steps are more than COARSE_SHARE of the current:
-# now the load lies between two of them, now it does not.
+# the share of rows in which it usually changes (`habit`, over about a hundred rows). Below a tenth of 1 C a constant
+# current is normal, and so is that of the avionics which began after the motors were disarmed. In the air it is normal,
+# too, if the steps are more than COARSE_SHARE of the current: now the load lies between two of them, now it does not.
 MISSED_MOVES, STILL_C_RATE, HABIT_KEPT, COARSE_SHARE = 15.0, 0.1, 0.99, 0.1
 
 
@@ -62,6 +63,7 @@ class SensorChanges(NamedTuple):
     turn_V: float = math.nan  # highest while it rises, lowest while it falls
     is_rising: bool = False
     turns: int = 0  # since the current last moved
+    moved_armed: bool | None = None  # whether the motors were armed when the current last moved
 
     def after(self, row: SensorRow) -> SensorChanges:
         """Return the same with one more row."""
@@ -75,7 +77,8 @@ class SensorChanges(NamedTuple):
             turn_V = voltage_V
         elif abs(step_V) > max(TURN_CELL_V * row.cells, TURN_STEPS * voltage.step):
             turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
-        return SensorChanges(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
+        moved_armed = self.moved_armed if current.rows else row.armed
+        return SensorChanges(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns, moved_armed)
 
     def is_coarse(self, cells: float) -> bool:
         """Return True if the voltage is read in steps that are too large to see the end of a flight."""
@@ -89,7 +92,8 @@ class SensorChanges(NamedTuple):
 
     def stuck_current_s(self, capacity_Ah: float) -> float:
         """Return how long the current has been constant against its habit or the voltage's turns [s]; 0 if sound."""
-        least_A = max(STILL_C_RATE * capacity_Ah, self.current.step / COARSE_SHARE)
+        least_C = GROUNDED_C_RATE if self.moved_armed is False else STILL_C_RATE
+        least_A = max(least_C * capacity_Ah, self.current.step / COARSE_SHARE)
         missed = self.current.rows * self.current.habit if self.current.value > least_A else 0.0
         is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0

@@ -52,7 +52,9 @@ def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) ->
             continue
         recent = faults.load.recent
         risen_V = recent.voltage_V + cells * LEAST_OHMAH * (recent.current_A - row.current_A) / capacity_Ah
-        faults = faults.after(SensorRow(row.time_s, row.voltage_V, row.current_A, risen_V, cells, capacity_Ah))
+        faults = faults.after(
+            SensorRow(row.time_s, row.voltage_V, row.current_A, risen_V, cells, capacity_Ah, row.armed)
+        )
         begins_s = {
             STUCK_VOLTAGE: faults.changes.voltage.since_s,
             STUCK_CURRENT: faults.changes.current.since_s,
