@@ -49,7 +49,7 @@ def dense(readings: Array) -> tuple[Array, float, Array]:
 @pytest.mark.parametrize("outlier", [0.0, 2.0])
 def test_it_ends_where_a_dense_search_ends(outlier: float) -> None:
     readings = measured(outlier)
-    found = robust_least_squares(against(readings), SHARED, (RECORDS, OWN), OUTLIER, 60)
+    found = robust_least_squares(against(readings), np.zeros(SHARED), (RECORDS, OWN), OUTLIER, 60)
     x, cost, curvature = dense(readings)
     sd = np.sqrt(np.diagonal(np.linalg.inv(curvature)))
     assert np.abs((np.concatenate([found.u, found.v.ravel()]) - x) / sd).max() < 0.06
@@ -62,7 +62,8 @@ def test_it_ends_where_a_dense_search_ends(outlier: float) -> None:
 def test_a_wrong_reading_does_not_decide() -> None:
     """Forty standard deviations off, it moves the unknowns by less than two of theirs."""
     right, wrong = (
-        robust_least_squares(against(measured(outlier)), SHARED, (RECORDS, OWN), OUTLIER, 60) for outlier in (0.0, 2.0)
+        robust_least_squares(against(measured(outlier)), np.zeros(SHARED), (RECORDS, OWN), OUTLIER, 60)
+        for outlier in (0.0, 2.0)
     )
     sd = np.sqrt(np.diagonal(np.linalg.inv(right.information)))
     assert np.abs((wrong.u - right.u) / sd).max() < 2.0
@@ -76,5 +77,5 @@ def test_a_trial_that_cannot_be_simulated_is_no_step() -> None:
         residuals, common = against(readings)(u, v)
         return np.where(np.abs(u[:, :1, None]) > 1.0 + NUDGE, np.nan, residuals), common
 
-    found = robust_least_squares(diverges, SHARED, (RECORDS, OWN), OUTLIER, 60)
+    found = robust_least_squares(diverges, np.zeros(SHARED), (RECORDS, OWN), OUTLIER, 60)
     assert np.isfinite(found.cost) and np.abs(found.u[0]) <= 1.0

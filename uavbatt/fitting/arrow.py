@@ -74,14 +74,14 @@ class _Step(NamedTuple):
 
 
 def robust_least_squares(
-    evaluate: Evaluate, shared: int, own: tuple[int, int], outlier: float, evaluations: int
+    evaluate: Evaluate, start: Array, own: tuple[int, int], outlier: float, evaluations: int
 ) -> Optimum:
-    """Find the unknowns of the least cost, from u = 0 and v = 0, the most probable ones before any record.
+    """Find the unknowns of the least cost, from u = `start` and v = 0 on; 0 is the most probable before any record.
 
-    shared : number of shared unknowns; own : numbers of records and of own unknowns; outlier : c, the size beyond which
-    a residual is one; evaluations : of the residuals, at most
+    start : of the shared unknowns [shared]; own : numbers of records and of own unknowns; outlier : c, the size beyond
+    which a residual is one; evaluations : of the residuals, at most
     """
-    u, v, radius = np.zeros(shared), np.zeros(own), FIRST_RADIUS
+    u, v, radius = start, np.zeros(own), FIRST_RADIUS
     at = _equations(evaluate, u, v, outlier)
     for _ in range(evaluations):
         step = _step_within(at, radius)

@@ -129,6 +129,12 @@ def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
     return ocv_V, x[..., at["r0_ohmAh"], None] * shape
 
 
+def lowest_fall_V(slots: tuple[Slot, ...], u: Array) -> float:
+    """Return by how much the OCV falls between the two lowest knots [V], for u [slots]."""
+    ocv_V, _ = knots(slots, values(slots, u))
+    return float(ocv_V[1] - ocv_V[0])
+
+
 def shape_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO) -> Array:
     """Return the residuals [..., 2 (knots - 1)] of the OCV's shape for values x [..., slots].
 

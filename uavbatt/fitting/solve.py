@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.battery.tables import dense
 from uavbatt.fitting import prior
-from uavbatt.fitting.arrow import robust_least_squares
+from uavbatt.fitting.arrow import Optimum, robust_least_squares
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry, Posterior, Slot
 
@@ -25,6 +26,9 @@ ROBUST_SCALE = 4.0  # sds beyond which a residual counts as an outlier
 START_DROP, LEAST_START = 1.5, 0.05  # a load of seconds drops 1.5 times what R0 does; no flight begins emptier
 COLUMNS = 2000  # records times variants that are simulated side by side: more take memory and save no time
 OWN = ("start_soc", "log_resistance", "log_capacity")
+# A search may creep along a bend where the OCV is flat near empty, which no cell is, far from the least cost (38, not
+# 18: the time was 101 s too long). It begins again with a curve that falls deeper, in sds of the prior.
+FLAT_V, DEEPER = 0.01, (-2.0, -2.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +69,13 @@ class CellFit(Posterior):
 
 
 def fullest_V(stack: Stack) -> float:
-    """Return the highest cell voltage at which a record begins at rest [V]; NaN if none begins at rest."""
-    first_V = (stack.voltage_V[0] / stack.cells)[stack.rested]
-    return float(np.max(first_V)) if first_V.size else float("nan")
+    """Return the highest cell voltage at which a record begins at rest [V]; NaN if none begins at rest.
+
+    Above what an ordinary cell charges to, a record that begins under load counts as well: at rest it showed more.
+    """
+    first_V = stack.voltage_V[0] / stack.cells
+    shown_V = first_V[stack.rested | (first_V > ORDINARY_FULL_V)]
+    return float(np.max(shown_V)) if shown_V.size else float("nan")
 
 
 def start_guess(stack: Stack, chemistry: Chemistry = prior.LIPO) -> Array:
@@ -127,6 +135,10 @@ class _Unknowns:
         ]
         return np.concatenate(parts), prior.shape_penalty(self.slots, x, self.chemistry)
 
+    def best_from(self, u: Array, evaluations: int) -> Optimum:
+        """Return the most probable unknowns that a search finds from the slots' u on."""
+        return robust_least_squares(self.evaluate, u, self.own_mean.shape, ROBUST_SCALE, evaluations)
+
 
 def _own_prior(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior], chemistry: Chemistry) -> tuple[Array, Array]:
     """Return the prior means and sds, both [records, 3], of each record's own unknowns."""
@@ -153,7 +165,10 @@ def fit_cell(
     slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
     own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
     unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry)
-    best = robust_least_squares(unknowns.evaluate, len(slots), own_mean.shape, ROBUST_SCALE, evaluations)
+    best = unknowns.best_from(np.zeros(len(slots)), evaluations)
+    if prior.lowest_fall_V(slots, best.u) < FLAT_V:
+        deeper = np.concatenate([DEEPER, np.zeros(len(slots) - len(DEEPER))])
+        best = min(best, unknowns.best_from(deeper, evaluations), key=lambda found: found.cost)
     return CellFit(
         slots=slots,
         effects=effects,

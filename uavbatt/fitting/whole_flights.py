@@ -44,7 +44,7 @@ def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], li
         return [], []
     stack = observed.stack(flown)
     is_known = np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC)
-    kept, words = _without(flown, ~is_known, "under load", "a part of a flight, or a pack that was not full")
+    kept, words = _without(flown, ~is_known, " under load", "a part of a flight, or a pack that was not full")
     if not words and not is_known.all():
         begun_later = f"{int(np.sum(~is_known))} of {counted(len(flown), 'flight')}"
         said = f"{begun_later} begin under load with about half the charge or less"
@@ -60,8 +60,8 @@ def alike_when_full(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], 
     if not flown:
         return [], []
     stack = observed.stack(flown)
-    is_fuller = np.logical_and(stack.rested, stack.voltage_V[0] / stack.cells > ORDINARY_FULL_V)
-    return _without(flown, is_fuller, "at rest", "another voltmeter or type of cell than in the other flights")
+    is_fuller = stack.voltage_V[0] / stack.cells > ORDINARY_FULL_V  # a load would only lower it
+    return _without(flown, is_fuller, "", "another voltmeter or type of cell than in the other flights")
 
 
 def _without(
@@ -75,4 +75,4 @@ def _without(
 
 
 def _said(record: ObservedRecord, how: str, why: str) -> str:
-    return f"{record.name} begins {how} at {record.voltage_V[0] / record.cells:.2f} V a cell and is left out: {why}"
+    return f"{record.name} begins{how} at {record.voltage_V[0] / record.cells:.2f} V a cell and is left out: {why}"
