@@ -14,9 +14,14 @@ from uavbatt.estimation.sensor_faults import DEAD_CURRENT, STUCK_CURRENT, STUCK_
 from uavbatt.estimation.sensor_row import SensorRow
 from uavbatt.estimation.still_sensors import STILL_C_RATE
 from uavbatt.fitting.prior import RESISTANCE_OHMAH
+from uavbatt.notice import Kind, Notice
 from uavbatt.records import Flight, Sample
 
 LEAST_OHMAH = RESISTANCE_OHMAH / 2.0
+# A voltage has frozen once it should have changed so many times since its last change. In flight that is too few to
+# refuse a number. A coarse voltmeter, too, changes in up to half of the rows, and then not for a minute.
+MISSED_CHANGES, OFTEN = 8.0, 0.55
+FROZEN = Notice("the voltage stood still under load: a frozen sensor?", Kind.STUCK_VOLTAGE)
 
 
 class FailedSpan(NamedTuple):
@@ -56,13 +61,23 @@ def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) ->
             SensorRow(row.time_s, row.voltage_V, row.current_A, risen_V, cells, capacity_Ah, row.armed)
         )
         begins_s = {
+            FROZEN: faults.changes.voltage.since_s,
             STUCK_VOLTAGE: faults.changes.voltage.since_s,
             STUCK_CURRENT: faults.changes.current.since_s,
             TWO_BATTERIES: faults.two.since_s,
         }
         if row.current_A < STILL_C_RATE * capacity_Ah:
             begins_s[DEAD_CURRENT] = faults.load.recent.time_s
-        for reason in begins_s.keys() & faults.refusals:
+        reasons = set(faults.refusals)
+        if STUCK_VOLTAGE not in reasons and _is_frozen(faults, row.current_A / capacity_Ah):
+            reasons.add(FROZEN)
+        for reason in begins_s.keys() & reasons:
             found[begins_s[reason], reason] = FailedSpan(begins_s[reason], row.time_s, reason)
     spans = sorted(found.values(), key=lambda span: (span.after_s, -span.until_s))
     return tuple(s for i, s in enumerate(spans) if all(s.until_s > other.until_s for other in spans[:i]))
+
+
+def _is_frozen(faults: SensorFaults, rate_c: float) -> bool:
+    """Return True if the voltage has not changed for many rows under a load [1/h] although it does so often."""
+    voltage = faults.changes.voltage
+    return rate_c >= STILL_C_RATE and voltage.habit >= OFTEN and voltage.rows * voltage.habit >= MISSED_CHANGES
