@@ -48,6 +48,11 @@ class LastChange(NamedTuple):
         habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
         return LastChange(value, time_s, step, 0, habit, self.changes + 1)
 
+    @property
+    def missed(self) -> float:
+        """Return how many changes should have come since its last one."""
+        return self.rows * self.habit
+
     def age_s(self, time_s: float) -> float:
         """Return the time since its last change [s]; 0 before the first reading."""
         return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
@@ -94,6 +99,6 @@ class SensorChanges(NamedTuple):
         """Return how long the current has been constant against its habit or the voltage's turns [s]; 0 if sound."""
         least_C = GROUNDED_C_RATE if self.moved_armed is False else STILL_C_RATE
         least_A = max(least_C * capacity_Ah, self.current.step / COARSE_SHARE)
-        missed = self.current.rows * self.current.habit if self.current.value > least_A else 0.0
+        missed = self.current.missed if self.current.value > least_A else 0.0
         is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0

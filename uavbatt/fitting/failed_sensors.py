@@ -80,4 +80,4 @@ def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) ->
 def _is_frozen(faults: SensorFaults, rate_c: float) -> bool:
     """Return True if the voltage has not changed for many rows under a load [1/h] although it does so often."""
     voltage = faults.changes.voltage
-    return rate_c >= STILL_C_RATE and voltage.habit >= OFTEN and voltage.rows * voltage.habit >= MISSED_CHANGES
+    return rate_c >= STILL_C_RATE and voltage.habit >= OFTEN and voltage.missed >= MISSED_CHANGES

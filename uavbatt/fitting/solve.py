@@ -27,7 +27,7 @@ START_DROP, LEAST_START = 1.5, 0.05  # a load of seconds drops 1.5 times what R0
 COLUMNS = 2000  # records times variants that are simulated side by side: more take memory and save no time
 OWN = ("start_soc", "log_resistance", "log_capacity")
 # A search may creep along a bend where the OCV is flat near empty, which no cell is, far from the least cost (38, not
-# 18: the time was 101 s too long). It begins again with a curve that falls deeper, in sds of the prior.
+# 18: the time was 101 s too long). It begins again with a deeper curve: its first slots, in sds of the prior.
 FLAT_V, DEEPER = 0.01, (-2.0, -2.0, -1.0)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, solve
-from uavbatt.fitting.observed import ObservedRecord
+from uavbatt.fitting.observed import ObservedRecord, Stack
 from uavbatt.output import counted
 from uavbatt.records import Flight
 
@@ -44,7 +44,7 @@ def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], li
         return [], []
     stack = observed.stack(flown)
     is_known = np.logical_or(stack.rested, solve.start_guess(stack) >= LEAST_BEGUN_SOC)
-    kept, words = _without(flown, ~is_known, " under load", "a part of a flight, or a pack that was not full")
+    kept, words = _without(flown, stack, ~is_known, "a part of a flight, or a pack that was not full")
     if not words and not is_known.all():
         begun_later = f"{int(np.sum(~is_known))} of {counted(len(flown), 'flight')}"
         said = f"{begun_later} begin under load with about half the charge or less"
@@ -61,18 +61,19 @@ def alike_when_full(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], 
         return [], []
     stack = observed.stack(flown)
     is_fuller = stack.voltage_V[0] / stack.cells > ORDINARY_FULL_V  # a load would only lower it
-    return _without(flown, is_fuller, "", "another voltmeter or type of cell than in the other flights")
+    return _without(flown, stack, is_fuller, "another voltmeter or type of cell than in the other flights")
 
 
 def _without(
-    flown: list[ObservedRecord], marks: NDArray[np.bool_], how: str, why: str
+    flown: list[ObservedRecord], stack: Stack, marks: NDArray[np.bool_], why: str
 ) -> tuple[list[ObservedRecord], list[str]]:
     """Return the flights without those that are marked, if these are less than half, and the words about each."""
     if 2 * int(np.sum(marks)) >= len(flown):
         return flown, []
     kept = [record for record, is_out in zip(flown, marks, strict=True) if not is_out]
-    return kept, [_said(record, how, why) for record, is_out in zip(flown, marks, strict=True) if is_out]
+    return kept, [_said(flown[k], bool(stack.rested[k]), why) for k in np.flatnonzero(marks)]
 
 
-def _said(record: ObservedRecord, how: str, why: str) -> str:
-    return f"{record.name} begins{how} at {record.voltage_V[0] / record.cells:.2f} V a cell and is left out: {why}"
+def _said(record: ObservedRecord, is_rested: bool, why: str) -> str:
+    how = "at rest" if is_rested else "under load"
+    return f"{record.name} begins {how} at {record.voltage_V[0] / record.cells:.2f} V a cell and is left out: {why}"
