@@ -69,13 +69,13 @@ def test_a_fit_ends_as_low_as_a_dense_search(make: Make) -> None:
 
 
 def test_a_search_that_meets_a_flat_curve_near_empty_goes_round_it() -> None:
-    """A pack flown empty that then rests shows one voltage for minutes; no cell is flat there.
+    """A pack flown empty that rests before its motors are tried once more shows one voltage for minutes.
 
-    With the curve at which the search ended first, a later flight was told 101 s too many.
+    No cell is flat there. With the curve at which the search ended first, a later flight was told 101 s too many.
     """
     pack = Pack(10.0, size_Ah=10.0, make=FLAT, air_C=17.0)
     air = flight(pack, Power(497.0), replace(ORDINARY, voltage_sd_V=0.012, current_sd_A=0.67), seed=93).rows
-    ground = drawn(pack, [IDLE_W] * 234, air[-1].time_s + 1.0, air[-1].consumed_Ah, armed=False).rows
+    ground = drawn(pack, [IDLE_W] * 234 + [200.0] * 2, air[-1].time_s + 1.0, air[-1].consumed_Ah, armed=False).rows
     stack = observed.stack([observed.from_flight(Flight("emptied", "csv", (*air, *ground)), 4, 10.0)])
     with patch.object(solve, "FLAT_V", -math.inf):
         first = solve.fit_cell(stack, own_prior=solve.ALIKE, evaluations=60)

@@ -13,7 +13,7 @@ from uavbatt.battery.model import Array
 from uavbatt.cli.diagnose_records import observed_of
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import HELD_WINDOW_S, ObservedRecord, after_step, from_flight, held_load, stack
-from uavbatt.records import Flight
+from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 
@@ -69,6 +69,15 @@ def test_a_spike_of_the_current_is_not_compared_and_a_late_climb_is() -> None:
         return from_flight(Flight("a.csv", "csv", samples), *size).time_s.size
 
     assert [compared(amps) for amps in (400.0, 100.0, 40.0)] == [len(flown) - 6, len(flown) - 6, len(flown)]
+
+
+def test_of_the_rest_after_the_landing_only_the_first_minute_is_compared() -> None:
+    """Ten minutes of recovery bent the curve of a fit: half of 20 healthy packs were told to have an effect."""
+    loads_A = [0.5] * 100 + [20.0] * 300 + [0.5] * 90 + [20.0] * 60 + [0.5] * 600  # a wait, a flight, a hop, a rest
+    samples = tuple(Sample(float(t), 16.0 - 0.001 * t, amps, 25.0) for t, amps in enumerate(loads_A))
+    assert from_flight(Flight("a.csv", "csv", samples), 4, 5.0).time_s[[0, -1]].tolist() == [0.0, 549.0 + 60.0]
+    on_the_bench = tuple(replace(sample, current_A=0.5) for sample in samples)
+    assert from_flight(Flight("a.csv", "csv", on_the_bench), 4, 5.0).time_s.size == len(samples)
 
 
 @pytest.mark.parametrize(("step_s", "found"), [(0.1, 1), (0.8, 2)])

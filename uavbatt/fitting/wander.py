@@ -97,12 +97,18 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
     return best
 
 
+def has_flown(stack: Stack) -> NDArray[np.bool_]:
+    """Mark the rows from the first load on, [rows, records]."""
+    marks: NDArray[np.bool_] = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
+    return marks
+
+
 def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) -> Wander:
     """Return the wander of `records` (columns of the stack) around an open-loop simulation of them.
 
     cells : cells of the pack for which it is stated; records of other packs are scaled to it
     """
-    loaded = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
+    loaded = has_flown(stack)
     share = cells / stack.cells
     gap_V = ((stack.voltage_V - trajectory.voltage_V * stack.cells) * share)[:, records]
     at = (stack.time_s[:, records], trajectory.soc[:, records], (stack.slope_Vps * share)[:, records])

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.refit.candidates import COURSES, INDEX, Candidate
-from uavbatt.diagnosis.refit.evidence import Evidence, Rows
+from uavbatt.diagnosis.refit.evidence import Evidence
 from uavbatt.diagnosis.refit.problem import Problem, Refit
 from uavbatt.diagnosis.refit.simulation import OwnValues, Simulated, simulate
+from uavbatt.diagnosis.refit.whitening import Rows
 
 NUDGE = 2e-3  # finite difference in sds: far above rounding, far below a bend of the model
 NUISANCES = 3  # of each record: start of charge, start temperature, ambient temperature

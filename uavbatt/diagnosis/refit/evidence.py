@@ -1,15 +1,7 @@
 """Flights and bench tests, prepared for the comparison with the model.
 
-The residual of the best model of a battery is not white noise: it changes slowly, over a minute or more, and is largest
-at both ends of the charge. So the misfit of a record is judged by the covariance
-
-    K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)² + (charge error · dOCV/dsoc)²
-
-as the battery file's `[discrepancy.wander]` learned it from effect-free records (`fitting.wander`; Rasmussen &
-Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel), with the error of the capacity where a
-pack is discharged deeper than in those records. Its inverse Cholesky factor turns a residual into independent numbers
-of unit variance: their sum of squares is the chi-square by which everything is decided. The rest before take-off is a
-block of its own, whose error is one constant.
+They are checked, binned, and get the whitening by which a misfit is judged (`whitening`), and the charge that each is
+believed to start with.
 """
 
 from __future__ import annotations
@@ -19,15 +11,14 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from uavbatt.battery.battery_file import BatteryFile, Wander
-from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.refit import late_current
 from uavbatt.diagnosis.refit.candidates import capacity_sd
-from uavbatt.diagnosis.refit.meter_noise import noise_K, noise_V, resting_noise_V
+from uavbatt.diagnosis.refit.meter_noise import noise_V, resting_noise_V
+from uavbatt.diagnosis.refit.whitening import Whitener, cold_factor, quick_A, temperature_whitener, voltage_whiteners
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -36,7 +27,6 @@ FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, i
 # A shorter record is not long against the correlation time of the error; with less charge drawn, no capacity shows.
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LOADED_SHARE = 0.3  # of the upper current (90 % point): less is rest
-LEAST_TEMPERATURES = 5  # fewer readings do not show how a temperature changes
 LEAST_RECORDS, LEAST_CHANGE = 2, 0.04  # one record may have a peculiarity of its day; relative spread of the current
 CLEARLY_NOT_FULL = 0.85  # of the charge: no voltage sensor that is nearly right shows less for a full pack
 FULL_SD = 0.008  # of the charge of a full pack: chargers end at different currents
@@ -44,22 +34,6 @@ RESTED_SD, LOADED_SD = 0.03, 0.06  # of the charge that a first voltage shows: 1
 START_OHMAH, LEAST_START = 0.05, 0.05  # of a cell that has just been loaded; no flight begins emptier
 ZERO_C_RATE = 0.02  # an aircraft that flies draws a hundred times as much
 IDLE_NOISE_A = 0.15  # at rest an offset of the current is known to within this
-COLD_DOUBLES_K = 6.0  # the model's error doubles for so many K below its coldest flight
-
-Rows = NDArray[np.intp]
-
-
-@dataclass(frozen=True, slots=True)
-class Whitener:
-    """Whitener holds the rows of one record that count, and the inverse Cholesky factor of their covariance.
-
-    `rest` marks those at rest before take-off; `sd` is the error that the model is expected to have in each row.
-    """
-
-    rows: Rows
-    rest: NDArray[np.bool_]
-    inverse: Array
-    sd: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,17 +126,6 @@ def _change(records: list[ObservedRecord]) -> float:
     return float(np.std(together) / np.mean(together))
 
 
-def quick_A(stack: Stack, tau_s: float) -> Array:
-    """Return the current less its exponential mean of the last `tau_s` [s]: [A], [rows, records]."""
-    slow_A = np.zeros_like(stack.current_A)
-    for row in range(1, len(slow_A)):
-        decay = np.exp(-stack.dt_s[row] / tau_s)
-        between_A = 0.5 * (stack.current_A[row - 1] + stack.current_A[row])
-        slow_A[row] = decay * slow_A[row - 1] + (1.0 - decay) * between_A
-    out: Array = stack.current_A - slow_A
-    return out
-
-
 def prepare(
     records: list[ObservedRecord], file: BatteryFile, ocv_soc: tuple[Array, Array], polarisation_tau_s: float
 ) -> Evidence:
@@ -176,16 +139,14 @@ def prepare(
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
     steep_V, resting_V = _steep_V(file, ocv_soc, records[0].cells), resting_noise_V(records)
+    noises_V = [(noise_V(r, ohm), resting_V) for r in records]
     full_soc = spread.start_soc or 1.0
     start_soc, start_sd, in_part = _starts(stack, ocv_soc, full_soc)
     return Evidence(
         records=tuple(records),
         stack=stack,
-        volts=tuple(
-            _voltage_whitener(stack, j, start_soc[j], spread, (noise_V(r, ohm), resting_V), (ocv_soc[0], steep_V))
-            for j, r in enumerate(records)
-        ),
-        temps=tuple(_temperature_whitener(stack, j, spread, r) for j, r in enumerate(records)),
+        volts=voltage_whiteners(stack, spread, start_soc, noises_V, (ocv_soc[0], steep_V), ohm),
+        temps=tuple(temperature_whitener(stack, j, spread, r) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
@@ -193,7 +154,7 @@ def prepare(
         start_sd=start_sd,
         full_soc=full_soc,
         charged_in_part=in_part,
-        familiar=np.array([_cold(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
+        familiar=np.array([cold_factor(spread, start_C) == 1.0 for start_C in stack.start_temp_C]),
         shows_delay=all(map(observed.is_fine, records)),
     )
 
@@ -240,32 +201,6 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array], full_soc: float) -> tupl
     return centre, np.where(full, FULL_SD, np.where(stack.rested, RESTED_SD, LOADED_SD)), stack.rested & ~full
 
 
-def _voltage_whitener(
-    stack: Stack,
-    j: int,
-    start_soc: float,
-    spread: Wander,
-    noise_sd_V: tuple[float, float],
-    steep_V: tuple[Array, Array],
-) -> Whitener:
-    """Return the whitening of a record's voltages; noise_sd_V : noise [V] of all rows, and of those at rest."""
-    rows = np.flatnonzero(stack.compare[:, j])
-    time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
-    loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
-    discharged = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
-    # The error was learned on packs that took off full: near full it may belong to the charge or to the take-off.
-    log_sd = np.log(np.maximum(spread.voltage_sd_V, 1e-6))
-    wandering_V = np.exp(np.maximum(*(np.interp(first - discharged, spread.soc, log_sd) for first in (start_soc, 1.0))))
-    wandering_V *= _cold(spread, stack.start_temp_C[j])
-    wandering_V = np.hypot(wandering_V, np.interp(start_soc - discharged, *steep_V))
-    sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), spread.rest_sd_V)
-    decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
-    kernel = np.where(loaded[:, None] & loaded, decay, 1.0) * sd[:, None] * sd
-    kernel *= loaded[:, None] == loaded
-    noise_V = np.where(loaded, noise_sd_V[0], noise_sd_V[1] or noise_sd_V[0])
-    return _whitener(rows, ~loaded, kernel, np.maximum(noise_V, spread.voltage_noise_V))
-
-
 def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
     """Return the error of the voltage [V] at each charge of the table that an error of the capacity causes.
 
@@ -275,26 +210,3 @@ def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Arr
     soc, ocv_V = ocv_soc
     out: Array = capacity_sd(file) * (1.0 - soc) * cells * np.gradient(ocv_V, soc)
     return out
-
-
-def _cold(spread: Wander, start_C: float) -> float:
-    """Return the factor on the model's error for a flight that begins colder than all flights it was learned on."""
-    if spread.coldest_C is None or not np.isfinite(start_C):
-        return 1.0
-    return float(2.0 ** (max(spread.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
-
-
-def _temperature_whitener(stack: Stack, j: int, spread: Wander, record: ObservedRecord) -> Whitener | None:
-    rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
-    if rows.size < LEAST_TEMPERATURES:
-        return None
-    time_s = stack.time_s[rows, j]
-    decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.temperature_time_s)
-    nowhere = np.zeros(rows.size, dtype=bool)
-    return _whitener(rows, nowhere, spread.temperature_sd_K**2 * decay, noise_K(record, spread.temperature_noise_K))
-
-
-def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: Array | float) -> Whitener:
-    factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
-    sd = np.sqrt(np.sum(factor**2, axis=1))
-    return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)

@@ -12,7 +12,8 @@ from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.refit.candidates import Candidate, FreeQuantity
-from uavbatt.diagnosis.refit.evidence import Evidence, Rows
+from uavbatt.diagnosis.refit.evidence import Evidence
+from uavbatt.diagnosis.refit.whitening import Rows
 
 # A larger standard error of the OCV is that of a charge which no record behind the file reached. Bench tests down to
 # the cut-off leave 0.07 V at the bottom, flights that land with a fifth of the charge 0.1 to 0.4 V.

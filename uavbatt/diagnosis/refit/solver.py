@@ -18,8 +18,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.refit.batch import NUDGE, NUISANCES, Batch
 from uavbatt.diagnosis.refit.candidates import Candidate
-from uavbatt.diagnosis.refit.evidence import Rows
 from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.whitening import Rows
 
 ITERATIONS = 12  # of a candidate, which starts at the fit without it
 SETTLED = 40  # iterations for the model without an effect: what has not converged would be credited to every effect

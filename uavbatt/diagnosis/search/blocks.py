@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.refit.evidence import Rows
 from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.whitening import Rows
 
 TAKE_OFF_S = 60.0  # the climb from the ground, whose current is the highest of a flight
 BLOCKS = ("rest", "take-off", "first third", "middle third", "last third", "temperature")

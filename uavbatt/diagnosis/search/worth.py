@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.refit.evidence import Rows
 from uavbatt.diagnosis.refit.problem import Problem, Refit
+from uavbatt.diagnosis.refit.whitening import Rows
 
 DOUBTS = 6.0  # standard errors (errors of the file included): a spread of two of them still counts as steady
 UNSTEADY = 0.35  # spread (sd) between records, relative to the value: the largest that is called steady
