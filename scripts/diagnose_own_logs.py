@@ -83,8 +83,11 @@ def _log(name: str, make: Make, size_Ah: float, watts: float, kind: str, dice: D
     return Flight(name, "csv", tuple(_frozen(seen, dice) if kind == FROZEN else seen))
 
 
-def _diagnosed(kind: str, number: int) -> Diagnosis:
-    """Fit some logs of a make, and diagnose others. Raises NotEnoughData if they show nothing."""
+def diagnosed(kind: str, number: int) -> Diagnosis:
+    """Fit some logs of a make, and diagnose others. Raises NotEnoughData if they show nothing.
+
+    kind : of KINDS; number : of the set
+    """
     dice = np.random.default_rng([number, *kind.encode()])
     make, size_Ah = MAKES[int(dice.integers(len(MAKES)))], float(dice.choice(SIZES_AH))
     watts = size_Ah * NOMINAL_V * float(dice.uniform(*C_RATES))
@@ -107,7 +110,7 @@ def main() -> int:
         verdicts = Counter[str]()
         for number in range(given.sets):
             try:
-                found = _diagnosed(kind, number)
+                found = diagnosed(kind, number)
             except NotEnoughData:
                 verdicts["not enough data"] += 1
                 continue

@@ -18,7 +18,15 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.refit import late_current
 from uavbatt.diagnosis.refit.candidates import capacity_sd
 from uavbatt.diagnosis.refit.meter_noise import noise_V, resting_noise_V
-from uavbatt.diagnosis.refit.whitening import Whitener, cold_factor, quick_A, temperature_whitener, voltage_whiteners
+from uavbatt.diagnosis.refit.whitening import (
+    Whitener,
+    cold_factor,
+    flight_error_V,
+    quick_A,
+    recovery_error_V,
+    temperature_whitener,
+    voltage_whiteners,
+)
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import ObservedRecord, Stack
@@ -142,10 +150,11 @@ def prepare(
     noises_V = [(noise_V(r, ohm), resting_V) for r in records]
     full_soc = spread.start_soc or 1.0
     start_soc, start_sd, in_part = _starts(stack, ocv_soc, full_soc)
+    in_flight_V = flight_error_V(stack, spread, start_soc, (ocv_soc[0], steep_V))
     return Evidence(
         records=tuple(records),
         stack=stack,
-        volts=voltage_whiteners(stack, spread, start_soc, noises_V, (ocv_soc[0], steep_V), ohm),
+        volts=voltage_whiteners(stack, in_flight_V, recovery_error_V(stack, ohm), spread, noises_V),
         temps=tuple(temperature_whitener(stack, j, spread, r) for j, r in enumerate(records)),
         shifted_A=late_current.shifted(records, stack),
         quick_A=quick_A(stack, polarisation_tau_s),

@@ -63,6 +63,21 @@ def quick_A(stack: Stack, tau_s: float) -> Array:
     return out
 
 
+def flight_error_V(stack: Stack, spread: Wander, start_soc: Array, steep_V: tuple[Array, Array]) -> Array:
+    """Return the error of the model in flight [V], one sd, [rows, records].
+
+    start_soc : of each record; steep_V : (soc, error [V] that an error of the capacity causes there)
+    """
+    drawn_Ah = np.cumsum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR
+    soc = start_soc - drawn_Ah / stack.capacity_Ah
+    # The error was learned on packs that took off full: near full it may belong to the charge or to the take-off.
+    log_sd = np.log(np.maximum(spread.voltage_sd_V, 1e-6))
+    sd_V = np.exp(np.maximum(*(np.interp(z, spread.soc, log_sd) for z in (soc, soc + 1.0 - start_soc))))
+    sd_V *= [cold_factor(spread, start_C) for start_C in stack.start_temp_C]
+    out: Array = np.hypot(np.hypot(sd_V, np.interp(soc, *steep_V)), wander.TIMING_S * stack.slope_Vps)
+    return out
+
+
 def recovery_error_V(stack: Stack, ohm: float) -> Array:
     """Return the error of the model from the first landing on [V], one sd, [rows, records]; `ohm` : R0 of the pack."""
     is_idle = np.abs(stack.current_A) <= IDLE_C_RATE * stack.capacity_Ah
@@ -72,37 +87,24 @@ def recovery_error_V(stack: Stack, ohm: float) -> Array:
 
 
 def voltage_whiteners(
-    stack: Stack,
-    spread: Wander,
-    start_soc: Array,
-    noise_sd_V: list[tuple[float, float]],
-    steep_V: tuple[Array, Array],
-    ohm: float,
+    stack: Stack, in_flight_V: Array, recovery_V: Array, spread: Wander, noises_V: list[tuple[float, float]]
 ) -> tuple[Whitener, ...]:
     """Return the whitening of each record's voltages.
 
-    start_soc : of each record; noise_sd_V : of each record, noise [V] of all rows and of those at rest (0: the same)
-    steep_V : (soc, error [V] that an error of the capacity causes there); ohm : R0 of the pack [ohm]
+    in_flight_V, recovery_V : errors of the model [rows, records] (`flight_error_V`, `recovery_error_V`)
+    noises_V : of each record, noise [V] of all rows and of those at rest (0: the same)
     """
-    has_flown, recovery_V = wander.has_flown(stack), recovery_error_V(stack, ohm)
-    drawn_Ah = np.cumsum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR
-    # The error was learned on packs that took off full: near full it may belong to the charge or to the take-off.
-    log_sd = np.log(np.maximum(spread.voltage_sd_V, 1e-6))
-    out = []
-    for j, start in enumerate(start_soc):
+    has_flown, out = wander.has_flown(stack), []
+    for j, (noise_V, resting_V) in enumerate(noises_V):
         rows = np.flatnonzero(stack.compare[:, j])
-        time_s, loaded, recovering_V = stack.time_s[rows, j], has_flown[rows, j], recovery_V[rows, j]
-        soc = start - drawn_Ah[rows, j] / stack.capacity_Ah[j]
-        sd_V = np.exp(np.maximum(*(np.interp(z, spread.soc, log_sd) for z in (soc, soc + 1.0 - start))))
-        sd_V *= cold_factor(spread, stack.start_temp_C[j])
-        sd_V = np.hypot(sd_V, np.interp(soc, *steep_V))
-        sd_V = np.where(loaded, np.hypot(sd_V, wander.TIMING_S * stack.slope_Vps[rows, j]), spread.rest_sd_V)
+        time_s, flown, recovering_V = stack.time_s[rows, j], has_flown[rows, j], recovery_V[rows, j]
+        sd_V = np.where(flown, in_flight_V[rows, j], spread.rest_sd_V)
         decay = np.exp(-np.abs(time_s[:, None] - time_s) / spread.voltage_time_s)
-        kernel = np.where(loaded[:, None] & loaded, decay, 1.0)
+        kernel = np.where(flown[:, None] & flown, decay, 1.0)
         kernel *= sd_V[:, None] * sd_V + recovering_V[:, None] * recovering_V
-        kernel *= loaded[:, None] == loaded
-        noise_V = np.where(loaded, noise_sd_V[j][0], noise_sd_V[j][1] or noise_sd_V[j][0])
-        out.append(_whitener(rows, ~loaded, kernel, np.maximum(noise_V, spread.voltage_noise_V)))
+        kernel *= flown[:, None] == flown
+        white_V = np.maximum(np.where(flown, noise_V, resting_V or noise_V), spread.voltage_noise_V)
+        out.append(_whitener(rows, ~flown, kernel, white_V))
     return tuple(out)
 
 
