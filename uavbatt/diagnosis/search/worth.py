@@ -15,6 +15,7 @@ d_j = -(A - A_j)^-1 b_j, and the chi-square of record j becomes
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,7 @@ class Worth:
     most: float  # chi-square saved with no record left out; the worth cannot be more than that
     known: float  # share of the estimate's variance that does not come from errors of the file, nor of the temperature
     constancy: Constancy | None  # None where each record has its own value anyway
+    imitable: float = math.inf  # squared change of the quantity, in errors that the file states: no worth is above it
 
     @property
     def value(self) -> float:
@@ -60,7 +62,7 @@ class Worth:
 
     def on(self, some: NDArray[np.bool_]) -> float:
         """Return the worth on a selection of the records."""
-        return min(float(np.sum(self.gains[some])), self.most) * self.known
+        return min(min(float(np.sum(self.gains[some])), self.most) * self.known, self.imitable)
 
 
 def at_bound(fit: Refit) -> bool:
@@ -79,7 +81,7 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
     if name == "initial_charge":  # a start of its own in each record says nothing about a common shift
         k = fit.quantities[fit.candidate.slice_of(name)][0]
         gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
-    return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name))
+    return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name), imitable(fit, name))
 
 
 def known_share(fit: Refit, name: str) -> float:
@@ -90,6 +92,22 @@ def known_share(fit: Refit, name: str) -> float:
     columns = fit.candidate.slice_of(name)
     alone, considered = (np.diagonal(fit.covariance_u(considered=c))[columns] for c in (False, True))
     return float(np.max(alone / considered)) * (1.0 if fit.has_temperature else UNMEASURED_SHARE)
+
+
+def imitable(fit: Refit, name: str) -> float:
+    """Return the squared change of an effect's quantity in standard errors that the file states of that very quantity.
+
+    It is the least chi-square by which the file itself could be wrong instead, so that no worth is above it; inf for an
+    effect with a quantity of which the file states no error. Where all is linear the share that is known says the same.
+    A lag that becomes none is not: it ends where the records say nothing about its logarithm.
+    """
+    stated = {f.index: f.scale for f in fit.columns if f.nuisance}
+    columns = range(len(fit.candidate.freed))[fit.candidate.slice_of(name)]
+    values, freed = fit.values()[0], fit.candidate.freed
+    return max(
+        ((values[k] - freed[k].start) / stated[freed[k].index]) ** 2 if freed[k].index in stated else math.inf
+        for k in columns
+    )
 
 
 def _free(fit: Refit) -> Rows:
