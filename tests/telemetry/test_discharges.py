@@ -131,6 +131,18 @@ def going_on(silence_s: float, rise_V: float = 0.0) -> tuple[Sample, ...]:
     )
 
 
+def test_a_pack_as_full_as_at_the_first_take_off_is_another_although_its_log_was_silent_in_flight() -> None:
+    """The silence hides the landing, and no counter begins again: a fit took both flights for one of one pack."""
+    pack = Pack(5.0, size_Ah=5.0)
+    rows = drawn(pack, [5.0] * 20 + [260.0] * 400, 0.0, 0.0, cutoff_V=0.0).rows
+    flown_V = rows[-1].voltage_V
+    fresh = drawn(Pack(5.0, size_Ah=5.0), [5.0] * 30 + [260.0] * 300, 465.0, rows[-1].consumed_Ah, cutoff_V=0.0).rows
+    assert 1.035 < fresh[0].voltage_V / flown_V < 1.1
+    assert begins(tuple(rows), tuple(fresh)) == (fresh[0].time_s,)
+    same = drawn(pack, [5.0] * 30 + [260.0] * 300, 465.0, rows[-1].consumed_Ah, cutoff_V=0.0).rows
+    assert begins(tuple(rows), tuple(same)) == ()
+
+
 @pytest.mark.parametrize("silence_s", [5.0, 30.0, 3600.0])
 def test_the_same_pack_after_a_silence_is_no_other_discharge(silence_s: float) -> None:
     assert begins(flown(), going_on(silence_s)) == ()  # it was silent from the landing on

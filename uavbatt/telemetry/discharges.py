@@ -17,6 +17,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.columns import Columns
@@ -28,6 +29,8 @@ SILENCE_S, BEFORE_S, AFTER_S = 9.9, 30.0, 15.0  # a reboot leaves a gap of 10 s 
 # rest rises by 2 % at most, one that was under load by 7 %. With a counter that has begun again half of it is enough.
 RESTED, LOADED, RESTARTED = 1.035, 1.1, 0.5
 COUNTER_SLACK_AH = 0.02
+# A pack that rests as high as before the take-off, but for a hundredth, although it has lost so much under load.
+FULL_AGAIN, LOST = 0.99, 0.04
 # The shortest charge between two flights, and the rest by which a voltage has settled.
 DOCKED_S, SETTLED_S = 600.0, 60.0
 LEAST_LOADED_S = 30.0  # a discharge with less load is no flight
@@ -216,10 +219,28 @@ def _is_another(rows: Columns, end: int, least_A: float) -> bool:
     resting = after[amps[after] < least_A]
     if not resting.size:
         return False
-    ratio = float(np.median(rows.voltage_V[resting]) / np.max(rows.voltage_V[before]))
+    rested_V, highest_V = float(np.median(rows.voltage_V[resting])), float(np.max(rows.voltage_V[before]))
+    if _is_full_again(rows, amps > least_A, rested_V, highest_V):
+        return True
+    ratio = rested_V / highest_V
     has_rested = np.isfinite(least_A) and (amps[before] < least_A).any()
     most = RESTED if has_rested else LOADED
     if not rows.consumed_Ah[after[0]] < rows.consumed_Ah[end] - COUNTER_SLACK_AH:
         return ratio > most
     slack = 1.0 + RESTARTED * (most - 1.0)
     return not 1.0 / slack < ratio < slack
+
+
+def _is_full_again(rows: Columns, loaded: NDArray[np.bool_], rested_V: float, highest_V: float) -> bool:
+    """Return True if a voltage at rest is that before the take-off, although the pack was discharged since then.
+
+    loaded : marks the rows under load; rested_V : the voltage at rest after a silence; highest_V : just before it
+    """
+    begins = int(np.argmax(loaded))
+    if not begins or not loaded[begins]:
+        return False
+    begin_s = rows.time_s[begins]
+    waited = (rows.time_s < begin_s) & (rows.time_s > begin_s - BEFORE_S)
+    took_off = loaded & (rows.time_s < begin_s + BEFORE_S)
+    has_lost = highest_V < (1.0 - LOST) * float(np.max(rows.voltage_V[took_off]))
+    return has_lost and waited.any() and rested_V > FULL_AGAIN * float(np.median(rows.voltage_V[waited]))
