@@ -55,20 +55,29 @@ def from_take_off(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], li
 def alike_when_full(flown: list[ObservedRecord]) -> tuple[list[ObservedRecord], list[str]]:
     """Return the flights that begin no fuller than ordinary cells, and for each other one why it is left out.
 
-    What half of the flights have in common is no fault of one: then all are kept.
+    What half of the flights have in common is no fault of one: then all are kept. A flight that begins under load does
+    not tell how full its pack was: three of five begun in the air made ordinary cells of those that charge to 4.35 V.
     """
     if not flown:
         return [], []
     stack = observed.stack(flown)
     is_fuller = stack.voltage_V[0] / stack.cells > ORDINARY_FULL_V  # a load would only lower it
-    return _without(flown, stack, is_fuller, "another voltmeter or type of cell than in the other flights")
+    tells = stack.rested | is_fuller
+    return _without(flown, stack, is_fuller, "another voltmeter or type of cell than in the other flights", tells)
 
 
 def _without(
-    flown: list[ObservedRecord], stack: Stack, marks: NDArray[np.bool_], why: str
+    flown: list[ObservedRecord],
+    stack: Stack,
+    marks: NDArray[np.bool_],
+    why: str,
+    among: NDArray[np.bool_] | None = None,
 ) -> tuple[list[ObservedRecord], list[str]]:
-    """Return the flights without those that are marked, if these are less than half, and the words about each."""
-    if 2 * int(np.sum(marks)) >= len(flown):
+    """Return the flights without those that are marked, if these are less than half, and the words about each.
+
+    among : the flights of which it is half; all if None
+    """
+    if 2 * int(np.sum(marks)) >= (len(flown) if among is None else int(np.sum(among))):
         return flown, []
     kept = [record for record, is_out in zip(flown, marks, strict=True) if not is_out]
     return kept, [_said(flown[k], bool(stack.rested[k]), why) for k in np.flatnonzero(marks)]
