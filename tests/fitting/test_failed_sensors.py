@@ -65,6 +65,13 @@ def test_a_voltage_that_freezes_for_seconds_is_left_out(samples) -> None:
     held_V = next(s.voltage_V for s in samples if s.time_s == FROM_S)
     frozen = tuple(replace(s, voltage_V=held_V) if FROM_S < s.time_s <= FROM_S + 20.0 else s for s in samples)
     assert spans_of(frozen) == [(FROM_S, FROM_S + 20.0, FROZEN)]
+    avionics_A = 0.25 * CAPACITY_AH
+    landed = [
+        replace(samples[-1], time_s=samples[-1].time_s + k, current_A=avionics_A + 0.01 * (k % 3))
+        for k in range(1, 100)
+    ]
+    rested = [replace(s, voltage_V=15.2 + 0.002 * min(k, 60)) for k, s in enumerate(landed)]
+    assert spans_of((*samples, *rested)) == [], "under the avionics alone a voltage that has recovered stands still"
 
 
 @pytest.mark.parametrize("digit_V", [0.05, 0.1, 0.5])

@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
+from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.estimation.sensor_faults import DEAD_CURRENT, STUCK_CURRENT, STUCK_VOLTAGE, TWO_BATTERIES, SensorFaults
 from uavbatt.estimation.sensor_row import SensorRow
 from uavbatt.estimation.still_sensors import STILL_C_RATE
@@ -80,4 +81,4 @@ def failed_spans(samples: tuple[Sample, ...], cells: int, capacity_Ah: float) ->
 def _is_frozen(faults: SensorFaults, rate_c: float) -> bool:
     """Return True if the voltage has not changed for many rows under a load [1/h] although it does so often."""
     voltage = faults.changes.voltage
-    return rate_c >= STILL_C_RATE and voltage.habit >= OFTEN and voltage.missed >= MISSED_CHANGES
+    return rate_c >= IDLE_C_RATE and voltage.habit >= OFTEN and voltage.missed >= MISSED_CHANGES
