@@ -8,6 +8,7 @@ prior is |u|².
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,6 +44,8 @@ RESISTANCE_OHMAH = 0.028
 RESISTANCE_SD = 0.8  # in ln: a factor of 2.2, beyond the 1.6 between packs
 FARTHEST_LN = 8.0  # a factor of 3000: farther out only a diverging step goes
 RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
+# Towards empty a resistance does not fall, but for this share of it: the knee of a worn pack is no bump of the ohms.
+RISES_BELOW_SOC, DIP_SD = 0.3, 0.1
 
 LITHIUM_ION_OHMAH = 0.06  # 20 mohm for a cell of 3 Ah: the large ones have less, the small ones more
 
@@ -145,6 +148,19 @@ def shape_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO
     rise_V = np.diff(ocv_V, axis=-1)
     short_V = np.maximum(OCV_SLOPE_V * np.diff(OCV_SOC) - rise_V, 0.0)
     return np.concatenate([short_V / DISORDER_SD_V, (rise_V - np.diff(chemistry.ocv_V)) / FALL_SD_V], axis=-1)
+
+
+def dip_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
+    """Return the residuals [..., knots - 1] of resistances near empty that fall from a knot to the next lower one."""
+    _, ohmAh = knots(slots, x)
+    rise = np.diff(np.log(ohmAh[..., RESISTANCE_SOC <= RISES_BELOW_SOC]), axis=-1)
+    out: Array = np.maximum(rise, 0.0) / DIP_SD
+    return out
+
+
+def unseen_ohms(lowest_soc: float) -> set[str]:
+    """Return the names of the knots of R0 of which records down to a charge say nothing."""
+    return {f"r0_{z:g}" for z, upper in pairwise(RESISTANCE_SOC) if upper <= lowest_soc}
 
 
 def made_monotone(ocv_V: Array) -> Array:

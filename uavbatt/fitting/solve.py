@@ -7,7 +7,7 @@ the type (resistance, capacity).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,9 @@ class OwnPrior:
 # mean of 1 the 5 % point was up to 59 s too long for packs of the type of a worn fleet, with exp(-0.02) 5 s.
 ALIKE = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.04, log_capacity=0.02)
 IN_SERVICE = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.10, log_capacity=0.06, mean_log_capacity=-0.02)
+WORN, VERY_WORN = replace(IN_SERVICE, mean_log_capacity=-0.10), replace(IN_SERVICE, mean_log_capacity=-0.18)
+# With ln of the odds before any flight: where no pack was flown to its end, flights hardly tell worn packs from others.
+PACKS_OF_FLIGHTS = ((ALIKE, 0.0), (IN_SERVICE, 0.0), (WORN, -1.0), (VERY_WORN, -2.0))
 SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside flights: not the packs that fly
 
 
@@ -120,6 +123,7 @@ class _Unknowns:
     own_mean: Array  # [records, 3]
     own_sd: Array
     chemistry: Chemistry
+    rising_ohms: bool
 
     def own(self, v: Array) -> Array:
         """Return the records' own values for v [.., records, 3]."""
@@ -133,7 +137,10 @@ class _Unknowns:
             residuals(self.stack, run(self.stack, self.slots, self.effects, x[some], self.own(v[some])), len(x[some]))
             for some in (slice(k, k + together) for k in range(0, len(x), together))
         ]
-        return np.concatenate(parts), prior.shape_penalty(self.slots, x, self.chemistry)
+        shape = prior.shape_penalty(self.slots, x, self.chemistry)
+        if self.rising_ohms:
+            shape = np.concatenate([shape, prior.dip_penalty(self.slots, x)], axis=-1)
+        return np.concatenate(parts), shape
 
     def best_from(self, u: Array, evaluations: int) -> Optimum:
         """Return the most probable unknowns that a search finds from the slots' u on."""
@@ -156,15 +163,17 @@ def fit_cell(
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
     evaluations: int = 40,
     chemistry: Chemistry = prior.LIPO,
+    *,
+    rising_ohms: bool = False,
 ) -> CellFit:
     """Find the most probable parameters and their covariance (robust beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; evaluations : of the residuals, at most; chemistry : of the
-    cells.
+    cells; rising_ohms : the resistance does not fall towards empty, which flights cannot show.
     """
     slots = prior.cell_slots(effects, fullest_V(stack), chemistry)
     own_mean, own_sd = _own_prior(stack, own_prior, chemistry)
-    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry)
+    unknowns = _Unknowns(stack, slots, effects, own_mean, own_sd, chemistry, rising_ohms)
     best = unknowns.best_from(np.zeros(len(slots)), evaluations)
     if prior.lowest_fall_V(slots, best.u) < FLAT_V:
         deeper = np.concatenate([DEEPER, np.zeros(len(slots) - len(DEEPER))])
