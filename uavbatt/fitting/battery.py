@@ -21,7 +21,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander, whole_flights
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Chemistry
-from uavbatt.fitting.solve import CellFit, OwnPrior
+from uavbatt.fitting.solve import CellFit
 from uavbatt.limits import FirstVoltages, Resting, cells_doubt, ending_doubt, refuse_certain
 from uavbatt.output import counted
 from uavbatt.records import Flight
@@ -165,28 +165,21 @@ def _solve(records: FittedRecords) -> CellFit:
 
 
 def _solve_for(records: FittedRecords, chemistry: Chemistry) -> CellFit:
-    """Fit the cell to packs that are alike or, if the flights make these more probable, to packs in service or worn.
+    """Fit the cell to packs that are alike or, if the flights make these more probable, to packs in service.
 
     A worn pack among packs that are said to be alike bends the curve of the type: of ten flights with packs that hold
-    88 to 101 % the soc was then wrong by 2.1 of its standard deviations. Where packs are alike, more freedom costs.
-    One worn pack flown to its end had its knee in the resistance, and the same flight was told 148 s too many.
+    88 to 101 % the soc was wrong by 2.1 of its sds. Where packs are alike, more freedom costs. A resistance that falls
+    towards empty stands for the knee of worn packs: then the fit begins again without it.
     """
     fit = partial(solve.fit_cell, records.stack, evaluations=EVALUATIONS, chemistry=chemistry)
     if records.bench:
-        return fit(*_freedom(records.bench, records.flights))
-    fits = [(fit(own_prior=packs, rising_ohms=True), ln_odds) for packs, ln_odds in solve.PACKS_OF_FLIGHTS]
-    return max(fits, key=lambda one: one[0].log_evidence + one[1])[0]
-
-
-def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
-    """Return the effects to fit to bench tests and flights, and the spread of each record's own values, tests first.
-
-    Only a slow, even load together with a changing load separates the reaction at the electrodes from the other
-    resistances; there it improves the prediction of flights that were left out (docs/diagnosis.md).
-    """
-    if flights:
-        return (*prior.BASE_EFFECTS, "charge_transfer"), [solve.SAMPLES] * tests + [OwnPrior()] * flights
-    return prior.BASE_EFFECTS, [OwnPrior()] * tests
+        return fit(*solve.freedom(records.bench, records.flights))
+    usual = (solve.ALIKE, solve.IN_SERVICE)[: 2 if records.has_spread else 1]
+    found = max((fit(own_prior=packs) for packs in usual), key=lambda one: one.log_evidence)
+    if np.max(prior.dips(found.slots, found.x)) < prior.BUMP:
+        return found
+    rising = [(fit(own_prior=packs, rising_ohms=True), ln_odds) for packs, ln_odds in solve.PACKS_OF_FLIGHTS]
+    return max(rising, key=lambda one: one[0].log_evidence + one[1])[0]
 
 
 def size_of(
@@ -274,9 +267,9 @@ def _doubtful(fit: CellFit) -> tuple[str, ...]:
 def _unknown_words(fit: CellFit, records: FittedRecords, lowest_soc: float) -> tuple[str, ...]:
     """Return in words which quantities the records do not determine."""
     stack = records.stack
-    sds, unseen = np.sqrt(np.diagonal(fit.covariance_u)), prior.unseen_ohms(lowest_soc)
-    slots = [(slot.name, sd) for slot, sd in zip(fit.slots, sds, strict=True) if slot.sd > 0.0]
-    told_nothing = [name for name, sd in slots if sd > LEAST_GAIN or name in unseen]
+    told_nothing = [
+        s.name for i, s in enumerate(fit.slots) if np.sqrt(fit.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
+    ]
     lines = []
     if told_nothing:
         lines.append(f"your data say little about {', '.join(told_nothing)} (typical {fit.chemistry.name} values used)")

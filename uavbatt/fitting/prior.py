@@ -8,7 +8,6 @@ prior is |u|².
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -46,6 +45,7 @@ FARTHEST_LN = 8.0  # a factor of 3000: farther out only a diverging step goes
 RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
 # Towards empty a resistance does not fall, but for this share of it: the knee of a worn pack is no bump of the ohms.
 RISES_BELOW_SOC, DIP_SD = 0.3, 0.1
+BUMP = 0.3  # in ln: a larger fall of a fitted resistance stands for something else
 
 LITHIUM_ION_OHMAH = 0.06  # 20 mohm for a cell of 3 Ah: the large ones have less, the small ones more
 
@@ -150,17 +150,11 @@ def shape_penalty(slots: tuple[Slot, ...], x: Array, chemistry: Chemistry = LIPO
     return np.concatenate([short_V / DISORDER_SD_V, (rise_V - np.diff(chemistry.ocv_V)) / FALL_SD_V], axis=-1)
 
 
-def dip_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
-    """Return the residuals [..., knots - 1] of resistances near empty that fall from a knot to the next lower one."""
+def dips(slots: tuple[Slot, ...], x: Array) -> Array:
+    """Return by how much ln R0 falls towards empty, from knot to knot near empty [..., knots - 1]; 0 where it rises."""
     _, ohmAh = knots(slots, x)
-    rise = np.diff(np.log(ohmAh[..., RESISTANCE_SOC <= RISES_BELOW_SOC]), axis=-1)
-    out: Array = np.maximum(rise, 0.0) / DIP_SD
+    out: Array = np.maximum(np.diff(np.log(ohmAh[..., RESISTANCE_SOC <= RISES_BELOW_SOC]), axis=-1), 0.0)
     return out
-
-
-def unseen_ohms(lowest_soc: float) -> set[str]:
-    """Return the names of the knots of R0 of which records down to a charge say nothing."""
-    return {f"r0_{z:g}" for z, upper in pairwise(RESISTANCE_SOC) if upper <= lowest_soc}
 
 
 def made_monotone(ocv_V: Array) -> Array:

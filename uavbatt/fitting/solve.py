@@ -57,6 +57,17 @@ PACKS_OF_FLIGHTS = ((ALIKE, 0.0), (IN_SERVICE, 0.0), (WORN, -1.0), (VERY_WORN, -
 SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside flights: not the packs that fly
 
 
+def freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
+    """Return the effects to fit to bench tests and flights, and the spread of each record's own values, tests first.
+
+    Only a slow, even load with a changing one separates the reaction at the electrodes from the other resistances;
+    there it improves the prediction of flights that were left out (docs/diagnosis.md).
+    """
+    if not flights:
+        return prior.BASE_EFFECTS, [OwnPrior()] * tests
+    return (*prior.BASE_EFFECTS, "charge_transfer"), [SAMPLES] * tests + [OwnPrior()] * flights
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellFit(Posterior):
     """CellFit adds to the posterior of the shared slots each record's own: start soc and ln of its scales.
@@ -139,7 +150,7 @@ class _Unknowns:
         ]
         shape = prior.shape_penalty(self.slots, x, self.chemistry)
         if self.rising_ohms:
-            shape = np.concatenate([shape, prior.dip_penalty(self.slots, x)], axis=-1)
+            shape = np.concatenate([shape, prior.dips(self.slots, x) / prior.DIP_SD], axis=-1)
         return np.concatenate(parts), shape
 
     def best_from(self, u: Array, evaluations: int) -> Optimum:
